@@ -1,0 +1,71 @@
+"""Where a free run starts: x_0 of every sequence.
+
+zero          x_0 = 0 in physical units (the published convention)
+first_output  states that are `like` an output take its first measured value, the others 0
+estimated     training: x_0 is trained with the weights; validation: least squares on its first n_init samples
+
+A test record that shares its initial state with the training record starts where the training record does; otherwise
+it starts from its own first output, or from the least-squares estimate over its first n_init samples alone.
+
+    x_0 = argmin Σ_{t ≤ n_init} ((y_t - ŷ_t(x_0)) / s_y)² + prior · ((x_0 - guess) / s_x)²
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import optimistix
+from jaxtyping import Float
+
+from pgrssnn_jax.model import Model, ModelParams, first_output_state
+from pgrssnn_jax.records import Record
+from pgrssnn_jax.rollout import rollout
+
+_PRIOR = 1e-4  # of one squared scaled error: decides only directions that n_init samples do not see
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """kind as above; n_init: first samples of a record from which its start is estimated; shared: the test record
+    starts where the (first) training sequence does."""
+
+    kind: Literal["zero", "first_output", "estimated"] = "zero"
+    n_init: int = 0
+    shared: bool = False
+
+    def __post_init__(self) -> None:
+        if self.n_init < 0:
+            raise ValueError(f"n_init: expected 0 or more samples, found {self.n_init}")
+        if self.kind == "estimated" and self.n_init == 0:
+            raise ValueError("n_init: expected at least 1 sample for initial_state=estimated, found 0")
+
+
+def start_state(model: Model, params: ModelParams, record: Record, initial: InitialState) -> Float[jax.Array, "seq x"]:
+    """x_0 of every sequence of `record` from the record itself, in physical units."""
+    if initial.kind == "zero":
+        return jnp.zeros((record.u.shape[0], model.n_x), record.u.dtype)
+    guess = first_output_states(model, record)
+    return guess if initial.kind == "first_output" else _estimate(model, params, record, initial.n_init, guess)
+
+
+def first_output_states(model: Model, record: Record) -> Float[jax.Array, "seq x"]:
+    return jax.vmap(lambda y: first_output_state(model, y))(jnp.asarray(record.y[:, 0]))
+
+
+def _estimate(model: Model, params: ModelParams, record: Record, n_init: int, guess: jax.Array) -> jax.Array:
+    """Levenberg-Marquardt per sequence; where it does not end in finite numbers the guess stands."""
+    u, y, mask = (jnp.asarray(a[:, :n_init]) for a in (record.u, record.y, record.mask))
+    scaling = params.scaling
+    solver = optimistix.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
+
+    def one(u: jax.Array, y: jax.Array, mask: jax.Array, guess: jax.Array) -> jax.Array:
+        def residual(z: jax.Array, _: None) -> jax.Array:
+            predicted = rollout(model, params, u[None], (guess + scaling.x.stretch(z))[None]).y[0]
+            error = scaling.y.to_scaled(predicted) - scaling.y.to_scaled(y)
+            return jnp.concatenate([jnp.where(mask, error, 0.0).ravel(), _PRIOR**0.5 * z])
+
+        found = optimistix.least_squares(residual, solver, jnp.zeros_like(guess), throw=False, max_steps=50).value
+        return jnp.where(jnp.isfinite(found).all(), guess + scaling.x.stretch(found), guess)
+
+    return jax.vmap(one)(u, y, mask, guess)

@@ -1,0 +1,75 @@
+"""From a function of one member to a function of all members: the one place that decides how they are mapped.
+
+Which mapping is fastest depends on the shapes: many small products with each member's own weights are slow when
+batched on a CPU, few long recurrences are slow one after another. `benchmarks/rollout.py` measures it; an experiment
+says it once, in `conf/members/`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import AxisType, PartitionSpec
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """vectorized: `vmap` within a sub-batch, or members one after another; sub_batch: members per `vmap` (None: all);
+    devices: JAX devices over which the members are sharded."""
+
+    how: Literal["vmap", "loop"] = "vmap"
+    sub_batch: int | None = None
+    devices: int = 1
+
+
+def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]:
+    """`one(*trees) -> tree` for one member becomes a function of trees with a leading member axis.
+
+    Members are padded to a multiple of the devices with copies of the last one, which are dropped again. Raises
+    `ValueError` when more devices are asked for than there are.
+    """
+    if not 1 <= mapping.devices <= jax.device_count():
+        raise ValueError(f"members: devices: expected 1 to {jax.device_count()}, found {mapping.devices}")
+    if mapping.sub_batch is not None and mapping.sub_batch < 1:
+        raise ValueError(f"members: sub_batch: expected at least 1, found {mapping.sub_batch}")
+
+    def on_one_device(*trees: Any) -> Any:
+        if mapping.how == "loop":
+            return jax.lax.map(lambda args: one(*args), trees)
+        count = len(jax.tree.leaves(trees)[0])
+        if mapping.sub_batch is None or mapping.sub_batch >= count:
+            return jax.vmap(one)(*trees)
+        return jax.lax.map(lambda args: one(*args), trees, batch_size=mapping.sub_batch)
+
+    if mapping.devices == 1:
+        return on_one_device
+
+    chosen = jax.devices()[: mapping.devices]
+    mesh = jax.make_mesh((mapping.devices,), ("member",), axis_types=(AxisType.Auto,), devices=chosen)
+    spec = PartitionSpec("member")
+    sharded = jax.shard_map(on_one_device, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+
+    def over_devices(*trees: Any) -> Any:
+        count = len(jax.tree.leaves(trees)[0])
+        missing = -count % mapping.devices
+        padded = jax.tree.map(partial(_pad, missing=missing), trees)
+        return jax.tree.map(lambda a: a[:count], sharded(*padded))
+
+    return over_devices
+
+
+def _pad(a: jax.Array, missing: int) -> jax.Array:
+    return a if missing == 0 else jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)])
+
+
+def repeat(tree: Any, count: int) -> Any:
+    """The same tree for every one of `count` members."""
+    return jax.tree.map(lambda a: jnp.broadcast_to(jnp.asarray(a)[None], (count, *jnp.shape(a))), tree)
+
+
+def select(tree: Any, member: int) -> Any:
+    """One member's tree."""
+    return jax.tree.map(lambda a: a[member], tree)

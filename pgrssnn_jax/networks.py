@@ -1,0 +1,90 @@
+"""The networks of a state-space model, in the networks' (scaled) units.
+
+    φ_u = D(u_t) or D([u_t, x_{t-1}])     f_nn = D(D([h_{t-1}, φ_u]))      h_t = GRU(h_{t-1}, φ_u)
+    φ_x = D([u_t, x_t])                   g_nn = D(φ_x)
+
+D: two dense layers with one activation between them. Weights start as torch's do, uniform in ±1/√n_in, which the
+published figures rest on. Source: Li, Seth, Kok, IFAC 2026, section 3.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+from jaxtyping import Float
+
+from pgrssnn_jax.gru import GRU
+
+ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {"relu": jax.nn.relu, "sigmoid": jax.nn.sigmoid}
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """Which of the published variants a model is.
+
+    guided: physics in f and g; networks: False leaves the physics alone; recurrent: a GRU, else dense layers only
+    (FC); feedback: x_{t-1} goes into φ_u; hidden: n_h; gru_layers: stacked GRUs, the last one's state is used;
+    gru_bias: biases in the GRU (published: none); start_from_physics: output heads start at zero, so that the
+    untrained model is the physics.
+    """
+
+    guided: bool = True
+    networks: bool = True
+    recurrent: bool = True
+    feedback: bool = False
+    activation: Literal["relu", "sigmoid"] = "relu"
+    hidden: int = 16
+    gru_layers: int = 1
+    gru_bias: bool = False
+    start_from_physics: bool = False
+
+
+def _uniform_fan_in(fan_in: int) -> nnx.Initializer:
+    bound = fan_in**-0.5
+
+    def init(key: jax.Array, shape: Sequence[int], dtype: jnp.dtype = jnp.float32, **_: object) -> jax.Array:
+        return jax.random.uniform(key, tuple(shape), dtype, -bound, bound)
+
+    return init
+
+
+class TwoDense(nnx.Module):
+    """D(z) = W2 act(W1 z + b1) + b2, n_in → hidden → n_out."""
+
+    def __init__(self, n_in: int, hidden: int, n_out: int, activation: str, *, zero_out: bool = False, rngs: nnx.Rngs):
+        zeros = nnx.initializers.zeros_init()
+        last = zeros if zero_out else _uniform_fan_in(hidden)
+        first = _uniform_fan_in(n_in)
+        self.first = nnx.Linear(n_in, hidden, kernel_init=first, bias_init=first, rngs=rngs)
+        self.second = nnx.Linear(hidden, n_out, kernel_init=last, bias_init=last, rngs=rngs)
+        self.activation = activation
+
+    def __call__(self, z: Float[jax.Array, "*batch n_in"]) -> Float[jax.Array, "*batch n_out"]:
+        return self.second(ACTIVATIONS[self.activation](self.first(z)))
+
+
+class Networks(nnx.Module):
+    """All networks of one model; call order is the rollout's matter (`rollout.py`)."""
+
+    def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs):
+        n_h, act = spec.hidden, spec.activation
+        n_mixed = 2 * n_h if spec.recurrent else n_h
+        zero = spec.start_from_physics
+        self.features_u = TwoDense(n_u + (n_x if spec.feedback else 0), n_h, n_h, act, rngs=rngs)
+        layers = spec.gru_layers if spec.recurrent else 0
+        self.gru = nnx.List([GRU(n_h, n_h, bias=spec.gru_bias, rngs=rngs) for _ in range(layers)])
+        self.mixer = TwoDense(n_mixed, n_h, n_h, act, rngs=rngs)
+        self.head_x = TwoDense(n_h, n_h, n_x, act, zero_out=zero, rngs=rngs)
+        self.features_x = TwoDense(n_u + n_x, n_h, n_h, act, rngs=rngs)
+        self.head_y = TwoDense(n_h, n_h, n_y, act, zero_out=zero, rngs=rngs)
+
+    def f_nn(self, h: Float[jax.Array, "*batch hidden"] | None, phi: Float[jax.Array, "*batch hidden"]) -> jax.Array:
+        """State correction from the GRU state *before* it saw u_t (None without a GRU) and φ_u."""
+        mixed = phi if h is None else jnp.concatenate([h, phi], -1)
+        return self.head_x(self.mixer(mixed))
+
+    def g_nn(self, x: Float[jax.Array, "*batch x"], u: Float[jax.Array, "*batch u"]) -> jax.Array:
+        return self.head_y(self.features_x(jnp.concatenate([u, x], -1)))

@@ -1,0 +1,1 @@
+"""Known physics of a system, as pure functions in physical units."""

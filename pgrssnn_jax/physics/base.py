@@ -1,0 +1,123 @@
+"""The contract of everything physical: what is known of a system, as pure functions and data.
+
+    x_t = step(params, x_{t-1}, u_t)            state after the input u_t has acted for dt seconds
+    y_t = measure(params, x_t, u_t)             reads = "after_step"   (the published convention)
+    y_t = measure(params, x_{t-1}, u_t)         reads = "before_step"  (a plant sampled before u_t acts)
+
+States, inputs and outputs are in physical units; one sample at a time (`x [n_x]`, `u [n_u]`), vmapped over
+the rest. A `Physics` never raises inside compiled code: a state that leaves the floating-point range is data.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NamedTuple
+
+import jax
+from jaxtyping import Float
+
+from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
+
+Params = Any
+Step = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " x"]]
+Measure = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " y"]]
+
+
+class Parameter(NamedTuple):
+    """What one number of `Physics.params` means.
+
+    bounds: closed interval that fitting respects; neutral: the value at which the term has no influence
+    (None if there is none); trainable: may fitting change it?
+    """
+
+    symbol: str = ""
+    unit: str = ""
+    bounds: tuple[float, float] = (-float("inf"), float("inf"))
+    neutral: float | None = None
+    trainable: bool = True
+
+
+class Signal(NamedTuple):
+    """One state, input or output.
+
+    A state may say which output it resembles: `like` an output shares that output's scale and its first
+    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start.
+    """
+
+    name: str
+    unit: str = ""
+    like: str | None = None
+    rate_of: str | None = None
+
+
+class Physics(NamedTuple):
+    """Known physics. `parameters` has the shape of `params`, leaf for leaf."""
+
+    name: str
+    step: Step
+    measure: Measure
+    params: Params
+    parameters: Params
+    states: tuple[Signal, ...]
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    dt: float
+    reads: Literal["after_step", "before_step"] = "after_step"
+
+
+def is_parameter(leaf: object) -> bool:
+    return isinstance(leaf, Parameter)
+
+
+def discrete(
+    name: str,
+    step: Step,
+    measure: Measure,
+    params: Mapping[str, Any],
+    *,
+    states: tuple[Signal, ...],
+    inputs: tuple[Signal, ...],
+    outputs: tuple[Signal, ...],
+    dt: float,
+    parameters: Mapping[str, Any] | None = None,
+    reads: Literal["after_step", "before_step"] = "after_step",
+) -> Physics:
+    """A `Physics` from x_t = step(params, x_{t-1}, u_t).
+
+    Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
+    output that does not exist, or when `dt` is not positive.
+    """
+    meanings = jax.tree.map(lambda _: Parameter(), params) if parameters is None else parameters
+    found = jax.tree.structure(meanings, is_leaf=is_parameter)
+    if found != jax.tree.structure(params):
+        raise ValueError(
+            f"physics {name!r}: parameters: expected the tree of params, {jax.tree.structure(params)}, found {found}"
+        )
+    known = {signal.name for signal in outputs}
+    for state in states:
+        for other in (state.like, state.rate_of):
+            if other is not None and other not in known:
+                raise ValueError(
+                    f"physics {name!r}: state {state.name!r}: expected like one of {sorted(known)}, found {other!r}"
+                )
+    if not dt > 0:
+        raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
+    return Physics(name, step, measure, dict(params), meanings, states, inputs, outputs, float(dt), reads)
+
+
+def continuous(
+    name: str,
+    derivative: Step,
+    measure: Measure,
+    params: Mapping[str, Any],
+    *,
+    integrator: Integrator | str = "rk4",
+    sub_steps: int = 1,
+    dt: float,
+    **signals: Any,
+) -> Physics:
+    """A `Physics` from dx/dt = derivative(params, x, u), u held over the sample.
+
+    integrator: `euler` or `rk4`; sub_steps: integration steps of dt / sub_steps seconds per sample. The other
+    arguments are those of `discrete`.
+    """
+    step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
+    return discrete(name, step, measure, params, dt=dt, **signals)

@@ -1,0 +1,57 @@
+"""Explicit one-step integrators of dx/dt = f(params, x, u) with the input held over the sample.
+
+Euler:  x⁺ = x + h f(x)                                                     error O(h)
+RK4:    x⁺ = x + h/6 (k1 + 2 k2 + 2 k3 + k4), k_i the classical four stages error O(h⁴)
+Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, II.1.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+from jaxtyping import Float
+
+State = Float[jax.Array, " x"]
+Derivative = Callable[[Any, State, Float[jax.Array, " u"]], State]
+Integrator = Callable[[Callable[[State], State], State, float], State]
+
+
+def euler(f: Callable[[State], State], x: State, h: float) -> State:
+    return x + h * f(x)
+
+
+def rk4(f: Callable[[State], State], x: State, h: float) -> State:
+    k1 = f(x)
+    k2 = f(x + 0.5 * h * k1)
+    k3 = f(x + 0.5 * h * k2)
+    k4 = f(x + h * k3)
+    return x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+
+
+INTEGRATORS: dict[str, Integrator] = {"euler": euler, "rk4": rk4}
+
+
+def zero_order_hold(
+    derivative: Derivative, *, dt: float, integrator: Integrator | str, sub_steps: int = 1
+) -> Derivative:
+    """x_t = step(params, x_{t-1}, u_t): `sub_steps` steps of h = dt / sub_steps seconds with u_t held.
+
+    Raises `ValueError` for an unknown integrator or fewer than one sub-step.
+    """
+    if isinstance(integrator, str):
+        if integrator not in INTEGRATORS:
+            raise ValueError(f"physics: integrator: expected one of {sorted(INTEGRATORS)}, found {integrator!r}")
+        integrator = INTEGRATORS[integrator]
+    if sub_steps < 1:
+        raise ValueError(f"physics: sub_steps: expected at least 1, found {sub_steps}")
+    h, advance = dt / sub_steps, integrator
+
+    def step(params: Any, x: State, u: Float[jax.Array, " u"]) -> State:
+        def field(state: State) -> State:
+            return derivative(params, state, u)
+
+        if sub_steps == 1:
+            return advance(field, x, h)
+        return jax.lax.fori_loop(0, sub_steps, lambda _, state: advance(field, state, h), x)
+
+    return step

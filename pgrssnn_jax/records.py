@@ -1,0 +1,126 @@
+"""Measured or simulated signals, and how they are cut into windows.
+
+A `Record` holds the inputs and outputs of one or more sequences of equal length. Axis order is
+`[member, sequence, time, channel]`; the member axis is present where many realisations are stacked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import DTypeLike
+
+Array = jax.Array | np.ndarray
+
+
+class Channel(NamedTuple):
+    """One column of a record: its name and its unit."""
+
+    name: str
+    unit: str = ""
+
+
+@jax.tree_util.register_static
+@dataclass(frozen=True)
+class RecordInfo:
+    """What the numbers of a record mean; static, so that a record passes through `jit` and `vmap`.
+
+    source: `file`, `download` or `simulated`; origin: where exactly, in words.
+    """
+
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    dt: float
+    source: str
+    origin: str = ""
+
+
+class Record(NamedTuple):
+    """Signals u_t, y_t for t = 1 .. T.
+
+    u `[..., seq, time, u]` and y `[..., seq, time, y]` in the physical units of `info`; mask
+    `[..., seq, time, y]` is True where y was measured (y is finite but meaningless elsewhere).
+    """
+
+    u: Float[Array, "*members seq time u"]
+    y: Float[Array, "*members seq time y"]
+    mask: Bool[Array, "*members seq time y"]
+    info: RecordInfo
+
+
+class Splits(NamedTuple):
+    """The three records of an experiment; each with a leading axis over datasets (realisations)."""
+
+    train: Record
+    validation: Record
+    test: Record
+
+
+def record(u: Array, y: Array, info: RecordInfo, mask: Array | None = None) -> Record:
+    """Builds a `Record` from u `[(seq,) time, u]` and y `[(seq,) time, y]`.
+
+    A missing sequence axis is added. Raises `ValueError` if the shapes disagree with each other or
+    with `info`, or if a value that counts is not finite.
+    """
+    u, y = np.asarray(u), np.asarray(y)
+    if u.ndim == 2 and y.ndim == 2:
+        u, y = u[None], y[None]
+        mask = None if mask is None else np.asarray(mask)[None]
+    if u.ndim != 3 or y.ndim != 3 or u.shape[:2] != y.shape[:2]:
+        raise ValueError(
+            f"record: u and y: expected [sequence, time, channel] with equal sequences and times, found {u.shape} and {y.shape}"
+        )
+    expected = (len(info.inputs), len(info.outputs))
+    if (u.shape[2], y.shape[2]) != expected:
+        raise ValueError(f"record: channels: expected {expected} (inputs, outputs), found {(u.shape[2], y.shape[2])}")
+    mask = np.ones(y.shape, bool) if mask is None else np.broadcast_to(mask, y.shape)
+    if not (np.isfinite(u).all() and np.isfinite(y[mask]).all()):
+        raise ValueError("record: u and y: expected finite numbers wherever the mask is True, found NaN or infinity")
+    return Record(u, np.where(mask, y, 0.0), mask, info)
+
+
+def windows(whole: Record, length: int) -> Record:
+    """Cuts every sequence into consecutive windows of `length` samples; the incomplete rest is dropped."""
+    time = whole.u.shape[-2]
+    if not 1 <= length <= time:
+        raise ValueError(f"windows: length: expected between 1 and the record's {time} samples, found {length}")
+    count = time // length
+
+    def cut(a: Array) -> Array:
+        *lead, n_seq, _, channels = a.shape
+        return a[..., : count * length, :].reshape(*lead, n_seq * count, length, channels)
+
+    return whole._replace(u=cut(whole.u), y=cut(whole.y), mask=cut(whole.mask))
+
+
+def crop(whole: Record, start: int, stop: int) -> Record:
+    """The samples `start <= t < stop` of every sequence."""
+    return whole._replace(
+        u=whole.u[..., start:stop, :], y=whole.y[..., start:stop, :], mask=whole.mask[..., start:stop, :]
+    )
+
+
+def stack(records: Sequence[Record]) -> Record:
+    """Stacks records of equal shape along a new leading axis."""
+    shapes = {r.u.shape + r.y.shape for r in records}
+    if len(shapes) != 1:
+        raise ValueError(f"stack: records: expected equal shapes, found {sorted(shapes)}")
+    return Record(
+        np.stack([r.u for r in records]),
+        np.stack([r.y for r in records]),
+        np.stack([r.mask for r in records]),
+        records[0].info,
+    )
+
+
+def cast(whole: Record, dtype: DTypeLike) -> Record:
+    """The same record with u and y in `dtype`: the one place where the precision of data changes."""
+    return whole._replace(u=np.asarray(whole.u, dtype), y=np.asarray(whole.y, dtype))
+
+
+def relabel(whole: Record, source: str, origin: str) -> Record:
+    """The same signals with another statement of where they came from."""
+    return whole._replace(info=replace(whole.info, source=source, origin=origin))

@@ -1,0 +1,100 @@
+"""Affine scaling between physical units and the networks' units, fitted on training data alone.
+
+    physical = offset + scale · scaled
+
+u and y: mean and standard deviation of the training record. x: a state that is `like` an output shares that
+output's scaling; a `rate_of` an output is scaled by the standard deviation of its differences; any other state by
+a simulation of the physics over the training inputs. A constant channel keeps scale 1.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records import Array, Record
+
+
+class Affine(NamedTuple):
+    """physical = offset + scale · scaled; both `[..., channel]`."""
+
+    offset: Float[Array, "*members c"]
+    scale: Float[Array, "*members c"]
+
+    def to_scaled(self, physical: jax.Array) -> jax.Array:
+        return (physical - _last_axis(self.offset, physical)) / _last_axis(self.scale, physical)
+
+    def to_physical(self, scaled: jax.Array) -> jax.Array:
+        return _last_axis(self.offset, scaled) + self.stretch(scaled)
+
+    def stretch(self, scaled: jax.Array) -> jax.Array:
+        """A difference of scaled values in physical units: scale · scaled."""
+        return _last_axis(self.scale, scaled) * scaled
+
+
+def _last_axis(values: Array, like: jax.Array) -> jax.Array:
+    return jnp.asarray(values, like.dtype).reshape((1,) * (like.ndim - 1) + (-1,))
+
+
+class Scaling(NamedTuple):
+    u: Affine
+    x: Affine
+    y: Affine
+
+
+def _affine(offset: np.ndarray, scale: np.ndarray) -> Affine:
+    usable = np.isfinite(scale) & (scale > 1e-12 * np.maximum(1.0, np.abs(offset)))
+    return Affine(np.where(np.isfinite(offset), offset, 0.0), np.where(usable, scale, 1.0))
+
+
+def identity(channels: int) -> Affine:
+    return Affine(np.zeros(channels), np.ones(channels))
+
+
+def signal_scaling(train: Record) -> tuple[Affine, Affine]:
+    """Scalings of u and y from one training record `[seq, time, channel]`; masked samples do not count."""
+    u = train.u.reshape(-1, train.u.shape[-1])
+    y = np.ma.array(train.y, mask=~train.mask).reshape(-1, train.y.shape[-1])
+    return (
+        _affine(u.mean(0), u.std(0)),
+        _affine(np.ma.filled(y.mean(0), 0.0), np.ma.filled(y.std(0), 1.0)),
+    )
+
+
+def fit_scaling(train: Record, physics: Physics | None) -> Scaling:
+    """Scaling of all signals from one training record `[seq, time, channel]`.
+
+    physics None (black box): states have no unit, their scaling is the identity and its width is not known
+    here, so x is returned empty.
+    """
+    u, y = signal_scaling(train)
+    if physics is None:
+        return Scaling(u, identity(0), y)
+    outputs = [signal.name for signal in physics.outputs]
+    simulated = _simulated_states(train, physics)
+    rates = np.diff(np.where(train.mask, train.y, np.nan), axis=1) / physics.dt
+    offset, scale = simulated.mean(0), simulated.std(0)
+    for i, state in enumerate(physics.states):
+        if state.like is not None:
+            j = outputs.index(state.like)
+            offset[i], scale[i] = y.offset[j], y.scale[j]
+        elif state.rate_of is not None:
+            offset[i], scale[i] = 0.0, np.nanstd(rates[..., outputs.index(state.rate_of)])
+    return Scaling(u, _affine(offset, scale), y)
+
+
+def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "samples x"]:
+    """States of the physics alone from zero, over all training sequences; non-finite values become zero."""
+
+    def simulate(u: jax.Array) -> jax.Array:
+        def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, jax.Array]:
+            x = physics.step(physics.params, x, u_t)
+            return x, x
+
+        return jax.lax.scan(body, jnp.zeros(len(physics.states), u.dtype), u)[1]
+
+    x = np.asarray(jax.jit(jax.vmap(simulate))(jnp.asarray(train.u)), np.float64)
+    return np.nan_to_num(x.reshape(-1, x.shape[-1]), posinf=0.0, neginf=0.0)

@@ -1,0 +1,45 @@
+"""Strictness that users need not pay for: array shapes checked, rank promotion raises, warnings are errors."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import pytest
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_num_cpu_devices", 2)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests marked `data` run where the data is; elsewhere they are skipped, and `.ci/run` counts them."""
+    if data_folder() is None:
+        skip = pytest.mark.skip(reason="PGRSSNN_DATA is not set")
+        for item in items:
+            if "data" in item.keywords:
+                item.add_marker(skip)
+
+
+def data_folder() -> Path | None:
+    folder = os.environ.get("PGRSSNN_DATA")
+    return Path(folder).resolve() if folder else None
+
+
+@pytest.fixture
+def data() -> Path:
+    """The folder of measured data; use it in tests marked `data` only."""
+    folder = data_folder()
+    assert folder is not None, "mark this test with pytest.mark.data"
+    return folder
+
+
+@pytest.fixture
+def key() -> jax.Array:
+    return jax.random.key(20260715)
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """Double precision for this test only."""
+    with jax.enable_x64(True):
+        yield
