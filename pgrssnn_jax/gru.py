@@ -93,7 +93,7 @@ def delayed(states: Float[jax.Array, "time seq c"]) -> Float[jax.Array, "time se
 class GRU(nnx.Module):
     """Weights of one layer, uniform in ±1/√hidden at the start."""
 
-    def __init__(self, n_in: int, hidden: int, *, bias: bool, rngs: nnx.Rngs):
+    def __init__(self, n_in: int, hidden: int, *, bias: bool, rngs: nnx.Rngs) -> None:
         def draw(*shape: int) -> nnx.Param:
             bound = hidden**-0.5
             return nnx.Param(jax.random.uniform(rngs.params(), shape, jnp.float32, -bound, bound))

@@ -54,7 +54,9 @@ def _uniform_fan_in(fan_in: int) -> nnx.Initializer:
 class TwoDense(nnx.Module):
     """D(z) = W2 act(W1 z + b1) + b2, n_in → hidden → n_out."""
 
-    def __init__(self, n_in: int, hidden: int, n_out: int, activation: str, *, zero_out: bool = False, rngs: nnx.Rngs):
+    def __init__(
+        self, n_in: int, hidden: int, n_out: int, activation: str, *, zero_out: bool = False, rngs: nnx.Rngs
+    ) -> None:
         zeros = nnx.initializers.zeros_init()
         last = zeros if zero_out else _uniform_fan_in(hidden)
         first = _uniform_fan_in(n_in)
@@ -69,7 +71,7 @@ class TwoDense(nnx.Module):
 class Networks(nnx.Module):
     """All networks of one model; call order is the rollout's matter (`rollout.py`)."""
 
-    def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs):
+    def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs) -> None:
         n_h, act = spec.hidden, spec.activation
         n_mixed = 2 * n_h if spec.recurrent else n_h
         zero = spec.start_from_physics

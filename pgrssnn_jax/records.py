@@ -71,7 +71,8 @@ def record(u: Array, y: Array, info: RecordInfo, mask: Array | None = None) -> R
         mask = None if mask is None else np.asarray(mask)[None]
     if u.ndim != 3 or y.ndim != 3 or u.shape[:2] != y.shape[:2]:
         raise ValueError(
-            f"record: u and y: expected [sequence, time, channel] with equal sequences and times, found {u.shape} and {y.shape}"
+            "record: u and y: expected [sequence, time, channel] with equal sequences and times,"
+            f" found {u.shape} and {y.shape}"
         )
     expected = (len(info.inputs), len(info.outputs))
     if (u.shape[2], y.shape[2]) != expected:

@@ -91,7 +91,7 @@ def _split(model: Model, params: ModelParams, networks: Networks | None, u: jax.
     if networks is None:
         correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
     else:
-        phi = networks.features_u(params.scaling.u.to_scaled(u)))
+        phi = networks.features_u(params.scaling.u.to_scaled(u))
         h_before = gru_states_before(networks, phi) if len(networks.gru) else None
         correction = params.scaling.x.stretch(networks.f_nn(h_before, phi))
     if not model.spec.guided:
