@@ -1,14 +1,11 @@
-"""Training of all members in one compiled program.
-
-    minimise over θ   Σ_t ((y_t - ŷ_t(θ)) / s_y)²,     mean over sequences, ŷ a free run
+"""Training of one member, to be mapped over all members in one compiled program.
 
 A block is `validate_every` epochs followed by one validation; a chunk is some blocks in one compiled call. Early
 stopping, best parameters and failure are data of each member: a member that has stopped or failed is frozen by
-selection and never disturbs the others. Sources: Li, Seth, Kok, IFAC 2026, section 4; Kingma and Ba 2015 (Adam);
-Loshchilov and Hutter 2019 (AdamW).
+selection and never disturbs the others.
+Sources: Li, Seth, Kok, IFAC 2026, section 4; Kingma and Ba 2015 (Adam); Loshchilov and Hutter 2019 (AdamW).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
@@ -16,14 +13,9 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
-from pgrssnn_jax.initial_state import InitialState, first_output_states, start_state
-from pgrssnn_jax.model import Model, ModelParams
-from pgrssnn_jax.physics.base import is_parameter
-from pgrssnn_jax.records import Record
-from pgrssnn_jax.rollout import Route, rollout
-from pgrssnn_jax.scaling import Scaling
+from pgrssnn_jax.objective import Loss, MemberData, Objective, Trainable
 
 
 class Outcome(IntEnum):
@@ -84,26 +76,10 @@ class FitSettings:
         return max(1, self.chunk_epochs // self.validate_every)
 
 
-class Trainable(NamedTuple):
-    """θ of one member. physics: (p - p_nominal) / size per parameter, so that one learning rate suits all; x0:
-    scaled x_0 `[seq, x]` of the training sequences; both None when they are not trained."""
-
-    network: Any
-    physics: Any
-    x0: Any
-
-
-class MemberData(NamedTuple):
-    """What stays fixed for one member: its records and scaling, and the epoch at which training ends at the latest."""
-
-    train: Record
-    validation: Record
-    scaling: Scaling
-    last_epoch: Int[Array, ""]
-
-
 class MemberState(NamedTuple):
-    trainable: Trainable
+    """Everything that the next chunk of a member depends on."""
+
+    theta: Trainable
     optimizer: Any
     best: Trainable
     best_loss: Float[Array, ""]
@@ -121,18 +97,71 @@ class History(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Training of one member as pure functions, to be mapped over members and compiled by the caller."""
+    """Training of one member as pure functions of its state and data; nothing raises, a failure is an `Outcome`."""
 
-    begin: Callable[[jax.Array, MemberData], MemberState]
-    advance: Callable[[MemberState, MemberData], tuple[MemberState, History]]
-    assemble: Callable[[Trainable, Scaling], ModelParams]
-    test_state: Callable[[Trainable, MemberData, Record], jax.Array]
+    objective: Objective
+    settings: FitSettings
 
+    def begin(self, key: jax.Array, data: MemberData) -> MemberState:
+        """A member before its first epoch; the untrained model is its best so far."""
+        theta = self.objective.begin(key, data)
+        loss = self.objective.on_validation(theta, data).mean
+        zero = jnp.zeros((), jnp.int32)
+        optimizer = build_optimizer(self.settings).init(theta)
+        return MemberState(theta, optimizer, theta, jnp.where(jnp.isfinite(loss), loss, jnp.inf), zero, zero, zero)
 
-class Evaluation(NamedTuple):
-    loss: Float[Array, ""]
-    mean: Float[Array, ""]
-    finite: Bool[Array, ""]
+    def advance(self, state: MemberState, data: MemberData) -> tuple[MemberState, History]:
+        """One chunk of epochs with its validations."""
+
+        def epochs(state: MemberState, _: None) -> tuple[MemberState, jax.Array]:
+            return self._epoch(state, data)
+
+        def block(state: MemberState, _: None) -> tuple[MemberState, History]:
+            before = state.epoch
+            state, train = jax.lax.scan(epochs, state, None, length=self.settings.validate_every)
+            state, validation = self._validated(state, data, advanced=state.epoch > before)
+            return state, History(train, validation)
+
+        return jax.lax.scan(block, state, None, length=self.settings.blocks)
+
+    def _epoch(self, state: MemberState, data: MemberData) -> tuple[MemberState, jax.Array]:
+        def objective(theta: Trainable) -> tuple[jax.Array, Loss]:
+            loss = self.objective.on_train(theta, data)
+            return loss.total, loss
+
+        gradient, loss = jax.grad(objective, has_aux=True)(state.theta)
+        updates, optimizer = build_optimizer(self.settings).update(gradient, state.optimizer, state.theta)
+        moved: Any = optax.apply_updates(state.theta, updates)
+        theta = self.objective.within_bounds(moved)
+        outcome = _outcome(loss, gradient)
+        active = (state.outcome == Outcome.TRAINING) & (state.epoch < data.last_epoch)
+        good = active & (outcome == Outcome.TRAINING)
+        theta, optimizer = _choose(good, (theta, optimizer), (state.theta, state.optimizer))
+        state = state._replace(
+            theta=theta,
+            optimizer=optimizer,
+            epoch=state.epoch + good,
+            outcome=jnp.where(active, outcome, state.outcome),
+        )
+        return state, jnp.where(active, loss.mean, jnp.nan)
+
+    def _validated(self, state: MemberState, data: MemberData, advanced: jax.Array) -> tuple[MemberState, jax.Array]:
+        loss = self.objective.on_validation(state.theta, data)
+        active = (state.outcome == Outcome.TRAINING) & advanced
+        better = active & loss.finite & (loss.mean < state.best_loss)
+        best, best_loss, best_epoch = _choose(
+            better, (state.theta, loss.mean, state.epoch), (state.best, state.best_loss, state.best_epoch)
+        )
+        overdue = state.epoch - best_epoch >= self.settings.patience
+        ended = jnp.where(overdue, Outcome.STOPPED_EARLY, Outcome.TRAINING)
+        outcome = jnp.where(loss.finite, ended, Outcome.STATE_NOT_FINITE).astype(jnp.int32)
+        state = state._replace(
+            best=best,
+            best_loss=best_loss,
+            best_epoch=best_epoch,
+            outcome=jnp.where(active, outcome, state.outcome),
+        )
+        return state, jnp.where(active, loss.mean, jnp.nan)
 
 
 def build_optimizer(settings: FitSettings) -> optax.GradientTransformation:
@@ -147,130 +176,16 @@ def build_optimizer(settings: FitSettings) -> optax.GradientTransformation:
     return optax.chain(optax.clip_by_global_norm(settings.clip_norm), update)
 
 
-def build_fit(model: Model, settings: FitSettings, initial: InitialState, *, route: Route | None = None) -> Fit:
-    """`begin(key, data)` draws a member's weights; `advance(state, data)` runs one chunk; `assemble(trainable,
-    scaling)` gives the numbers for a rollout. Nothing raises: a failure is an `Outcome` in the state."""
-    optimizer = build_optimizer(settings)
-    nominal, size, bounds, movable = _physics_units(model)
-
-    def assemble(trainable: Trainable, scaling: Scaling) -> ModelParams:
-        physics = nominal
-        if trainable.physics is not None:
-            physics = jax.tree.map(lambda p, s, z: p + s * z, nominal, size, trainable.physics)
-        return ModelParams(trainable.network, physics, scaling)
-
-    def train_state(trainable: Trainable, params: ModelParams, data: MemberData) -> jax.Array:
-        if trainable.x0 is None:
-            return start_state(model, params, data.train, initial)
-        return params.scaling.x.to_physical(trainable.x0)
-
-    def test_state(trainable: Trainable, data: MemberData, test: Record) -> jax.Array:
-        params = assemble(trainable, data.scaling)
-        if not initial.shared:
-            return start_state(model, params, test, initial)
-        start = train_state(trainable, params, data)[:1]
-        return jnp.broadcast_to(start, (test.u.shape[0], model.n_x))
-
-    def evaluate(params: ModelParams, record: Record, x0: jax.Array) -> Evaluation:
-        predicted = rollout(model, params, record.u, x0, route=route)
-        y = params.scaling.y
-        error = jnp.where(record.mask, y.to_scaled(record.y) - y.to_scaled(predicted.y), 0.0)
-        total = jnp.sum(error**2)
-        n_seq, time = record.u.shape[:2]
-        return Evaluation(total / n_seq, total / jnp.sum(record.mask), jnp.all(predicted.first_bad == time))
-
-    def on_train(trainable: Trainable, data: MemberData) -> Evaluation:
-        params = assemble(trainable, data.scaling)
-        return evaluate(params, data.train, train_state(trainable, params, data))
-
-    def on_validation(trainable: Trainable, data: MemberData) -> Evaluation:
-        params = assemble(trainable, data.scaling)
-        return evaluate(params, data.validation, start_state(model, params, data.validation, initial))
-
-    def begin(key: jax.Array, data: MemberData) -> MemberState:
-        physics = jax.tree.map(jnp.zeros_like, nominal) if settings.physics_parameters == "trained" else None
-        x0 = None
-        if initial.kind == "estimated":
-            x0 = data.scaling.x.to_scaled(first_output_states(model, data.train))
-        trainable = Trainable(model.init(key), physics, x0)
-        at_start = on_validation(trainable, data)
-        loss = jnp.where(jnp.isfinite(at_start.mean), at_start.mean, jnp.inf)
-        zero = jnp.zeros((), jnp.int32)
-        return MemberState(trainable, optimizer.init(trainable), trainable, loss, zero, zero, zero)
-
-    def epoch(state: MemberState, data: MemberData) -> tuple[MemberState, jax.Array]:
-        def objective(trainable: Trainable) -> tuple[jax.Array, Evaluation]:
-            result = on_train(trainable, data)
-            return result.loss, result
-
-        gradient, result = jax.grad(objective, has_aux=True)(state.trainable)
-        updates, optimizer_state = optimizer.update(gradient, state.optimizer, state.trainable)
-        updated = _within_bounds(optax.apply_updates(state.trainable, updates))
-        problem = jnp.where(
-            ~result.finite,
-            Outcome.STATE_NOT_FINITE,
-            jnp.where(
-                ~jnp.isfinite(result.loss),
-                Outcome.LOSS_NOT_FINITE,
-                jnp.where(jnp.isfinite(optax.global_norm(gradient)), Outcome.TRAINING, Outcome.GRADIENT_NOT_FINITE),
-            ),
-        ).astype(jnp.int32)
-        active = (state.outcome == Outcome.TRAINING) & (state.epoch < data.last_epoch)
-        good = active & (problem == Outcome.TRAINING)
-        trainable, optimizer_state = _choose(good, (updated, optimizer_state), (state.trainable, state.optimizer))
-        state = state._replace(
-            trainable=trainable,
-            optimizer=optimizer_state,
-            epoch=state.epoch + good,
-            outcome=jnp.where(active, problem, state.outcome),
-        )
-        return state, jnp.where(active, result.mean, jnp.nan)
-
-    def block(state: MemberState, data: MemberData) -> tuple[MemberState, tuple[jax.Array, jax.Array]]:
-        before = state.epoch
-        state, train = jax.lax.scan(lambda s, _: epoch(s, data), state, None, length=settings.validate_every)
-        result = on_validation(state.trainable, data)
-        active = (state.outcome == Outcome.TRAINING) & (state.epoch > before)
-        better = active & result.finite & (result.mean < state.best_loss)
-        best, best_loss, best_epoch = _choose(
-            better, (state.trainable, result.mean, state.epoch), (state.best, state.best_loss, state.best_epoch)
-        )
-        overdue = state.epoch - best_epoch >= settings.patience
-        outcome = jnp.where(
-            result.finite, jnp.where(overdue, Outcome.STOPPED_EARLY, Outcome.TRAINING), Outcome.STATE_NOT_FINITE
-        ).astype(jnp.int32)
-        state = state._replace(
-            best=best, best_loss=best_loss, best_epoch=best_epoch, outcome=jnp.where(active, outcome, state.outcome)
-        )
-        return state, (train, jnp.where(active, result.mean, jnp.nan))
-
-    def advance(state: MemberState, data: MemberData) -> tuple[MemberState, History]:
-        state, (train, validation) = jax.lax.scan(lambda s, _: block(s, data), state, None, length=settings.blocks)
-        return state, History(train, validation)
-
-    def _within_bounds(trainable: Trainable) -> Trainable:
-        if trainable.physics is None:
-            return trainable
-        low, high = bounds
-        moved = jax.tree.map(
-            lambda z, p, s, lo, hi, free: jnp.clip(z, (lo - p) / s, (hi - p) / s) if free else jnp.zeros_like(z),
-            trainable.physics, nominal, size, low, high, movable,
-        )  # fmt: skip
-        return trainable._replace(physics=moved)
-
-    return Fit(begin, advance, assemble, test_state)
+def _outcome(loss: Loss, gradient: Trainable) -> Int[Array, ""]:
+    """How an epoch went, the first cause first."""
+    problems = (
+        (~loss.finite, Outcome.STATE_NOT_FINITE),
+        (~jnp.isfinite(loss.total), Outcome.LOSS_NOT_FINITE),
+        (~jnp.isfinite(optax.tree.norm(gradient)), Outcome.GRADIENT_NOT_FINITE),
+    )
+    conditions, outcomes = zip(*problems, strict=True)
+    return jnp.select(conditions, [jnp.int32(o) for o in outcomes], jnp.int32(Outcome.TRAINING))
 
 
 def _choose(condition: jax.Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)
-
-
-def _physics_units(model: Model) -> tuple[Any, Any, tuple[Any, Any], Any]:
-    """Nominal value, size (|nominal|, or 1 at zero), bounds and freedom of every physics parameter."""
-    parameters = model.physics.parameters
-    nominal = jax.tree.map(jnp.asarray, model.physics.params)
-    size = jax.tree.map(lambda p: jnp.where(p == 0, 1.0, jnp.abs(p)), nominal)
-    low = jax.tree.map(lambda p: p.bounds[0], parameters, is_leaf=is_parameter)
-    high = jax.tree.map(lambda p: p.bounds[1], parameters, is_leaf=is_parameter)
-    movable = jax.tree.map(lambda p: p.trainable, parameters, is_leaf=is_parameter)
-    return nominal, size, (low, high), movable

@@ -5,19 +5,26 @@ batched on a CPU, few long recurrences are slow one after another. `benchmarks/r
 says it once, in `conf/members/`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.sharding import AxisType, PartitionSpec
 
 
+class Member(NamedTuple):
+    """Which member this is: its seed and the index of its dataset (realisation)."""
+
+    seed: int
+    dataset: int
+
+
 @dataclass(frozen=True)
 class Mapping:
-    """vectorized: `vmap` within a sub-batch, or members one after another; sub_batch: members per `vmap` (None: all);
+    """how: `vmap` within a sub-batch, or members one after another (`loop`); sub_batch: members per `vmap` (None: all);
     devices: JAX devices over which the members are sharded."""
 
     how: Literal["vmap", "loop"] = "vmap"
@@ -61,6 +68,11 @@ def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]
     return over_devices
 
 
+def keys_of(chosen: Sequence[Member]) -> jax.Array:
+    """One key per member, split by name: its seed, then its dataset."""
+    return jnp.stack([jax.random.fold_in(jax.random.key(m.seed), m.dataset) for m in chosen])
+
+
 def _pad(a: jax.Array, missing: int) -> jax.Array:
     return a if missing == 0 else jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)])
 
@@ -73,3 +85,10 @@ def repeat(tree: Any, count: int) -> Any:
 def select(tree: Any, member: int) -> Any:
     """One member's tree."""
     return jax.tree.map(lambda a: a[member], tree)
+
+
+def choose_mapping(n_members: int, n_sequences: int, devices: int) -> Mapping:
+    """The mapping that `benchmarks/rollout.py` finds fastest on CPUs: one after another when each member already has
+    a batch of sequences to multiply with (LGSSM: 31), all at once when each has a single long one (tanks)."""
+    how = "loop" if n_sequences >= 8 else "vmap"
+    return Mapping(how, None, min(devices, n_members))

@@ -9,7 +9,7 @@ published figures rest on. Source: Li, Seth, Kok, IFAC 2026, section 3.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ class ModelSpec:
 def _uniform_fan_in(fan_in: int) -> nnx.Initializer:
     bound = fan_in**-0.5
 
-    def init(key: jax.Array, shape: Sequence[int], dtype: jnp.dtype = jnp.float32, **_: object) -> jax.Array:
+    def init(key: jax.Array, shape: Sequence[int], dtype: Any = jnp.float32, **_: object) -> jax.Array:
         return jax.random.uniform(key, tuple(shape), dtype, -bound, bound)
 
     return init

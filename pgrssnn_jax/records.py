@@ -117,6 +117,11 @@ def stack(records: Sequence[Record]) -> Record:
     )
 
 
+def take(stacked: Record, index: int | np.ndarray) -> Record:
+    """One record of a stack, or, with an array of indices, the stack of those records."""
+    return stacked._replace(u=stacked.u[index], y=stacked.y[index], mask=stacked.mask[index])
+
+
 def cast(whole: Record, dtype: DTypeLike) -> Record:
     """The same record with u and y in `dtype`: the one place where the precision of data changes."""
     return whole._replace(u=np.asarray(whole.u, dtype), y=np.asarray(whole.y, dtype))

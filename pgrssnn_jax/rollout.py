@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.gru import delayed
 from pgrssnn_jax.model import Model, ModelParams
 from pgrssnn_jax.networks import Networks
+from pgrssnn_jax.records import Array
 
 Route = Literal["fused", "split"]
 
@@ -31,8 +32,8 @@ class Trajectory(NamedTuple):
 def rollout(
     model: Model,
     params: ModelParams,
-    u: Float[jax.Array, "seq time u"],
-    x0: Float[jax.Array, "seq x"],
+    u: Float[Array, "seq time u"],
+    x0: Float[Array, "seq x"],
     *,
     route: Route | None = None,
 ) -> Trajectory:
@@ -44,7 +45,7 @@ def rollout(
     if route == "split" and model.spec.feedback:
         raise ValueError("rollout: route: expected 'fused' for a model with state feedback, found 'split'")
     networks = model.networks(params)
-    u_time = jnp.swapaxes(u, 0, 1)
+    u_time, x0 = jnp.swapaxes(jnp.asarray(u), 0, 1), jnp.asarray(x0)
     fused = route == "fused" or model.spec.feedback
     x_time = (_fused if fused else _split)(model, params, networks, u_time, x0)
     read = x_time if model.physics.reads == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records import Array, Record
+from pgrssnn_jax.records import Array, Record, Splits, take
 
 
 class Affine(NamedTuple):
@@ -24,7 +24,8 @@ class Affine(NamedTuple):
     offset: Float[Array, "*members c"]
     scale: Float[Array, "*members c"]
 
-    def to_scaled(self, physical: jax.Array) -> jax.Array:
+    def to_scaled(self, physical: Array) -> jax.Array:
+        physical = jnp.asarray(physical)
         return (physical - _last_axis(self.offset, physical)) / _last_axis(self.scale, physical)
 
     def to_physical(self, scaled: jax.Array) -> jax.Array:
@@ -45,7 +46,8 @@ class Scaling(NamedTuple):
     y: Affine
 
 
-def _affine(offset: np.ndarray, scale: np.ndarray) -> Affine:
+def _affine(offset: Array, scale: Array) -> Affine:
+    offset, scale = np.asarray(offset), np.asarray(scale)
     usable = np.isfinite(scale) & (scale > 1e-12 * np.maximum(1.0, np.abs(offset)))
     return Affine(np.where(np.isfinite(offset), offset, 0.0), np.where(usable, scale, 1.0))
 
@@ -98,3 +100,20 @@ def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "sam
 
     x = np.asarray(jax.jit(jax.vmap(simulate))(jnp.asarray(train.u)), np.float64)
     return np.nan_to_num(x.reshape(-1, x.shape[-1]), posinf=0.0, neginf=0.0)
+
+
+def standardise(splits: Splits) -> tuple[Splits, Affine]:
+    """All records of every dataset in units of its own training record: zero mean, unit standard deviation.
+
+    splits: records `[dataset, seq, time, channel]`. Returns the scaled splits and the affine map `[dataset, y]` that
+    brings their outputs back. This is the published convention for the linear model, whose matrices then act on
+    standardised signals.
+    """
+    fitted = [signal_scaling(take(splits.train, i)) for i in range(len(splits.train.u))]
+    u, y = (Affine(*map(np.stack, zip(*pair, strict=True))) for pair in zip(*fitted, strict=True))
+
+    def scaled(affine: Affine, signal: Array) -> np.ndarray:
+        offset, scale = (np.asarray(a)[:, None, None, :] for a in affine)
+        return (np.asarray(signal) - offset) / scale
+
+    return Splits(*(r._replace(u=scaled(u, r.u), y=scaled(y, r.y)) for r in splits)), y

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
@@ -121,3 +122,27 @@ def continuous(
     """
     step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
     return discrete(name, step, measure, params, dt=dt, **signals)
+
+
+def check_physics(physics: Any, where: str) -> None:
+    """Raises `ValueError` unless `physics` is a `Physics` whose functions return the shapes that its signals say.
+
+    where: who made it, for the message. Nothing is computed: shapes are found by abstract evaluation.
+    """
+    if not isinstance(physics, Physics):
+        raise ValueError(f"physics: {where}: expected it to return a Physics, found {type(physics).__name__}")
+    sizes = {name: len(getattr(physics, name)) for name in ("states", "inputs", "outputs")}
+    x, u = (jax.ShapeDtypeStruct((sizes[name],), jnp.float32) for name in ("states", "inputs"))
+    for name, expected in (("step", sizes["states"]), ("measure", sizes["outputs"])):
+        try:
+            found = jax.eval_shape(getattr(physics, name), physics.params, x, u)
+        except Exception as problem:
+            reason = str(problem).splitlines()[0]
+            raise ValueError(
+                f"physics {physics.name!r}: {name}: expected it to take params, x [{sizes['states']}] and "
+                f"u [{sizes['inputs']}], found {type(problem).__name__}: {reason}"
+            ) from problem
+        if getattr(found, "shape", None) != (expected,):
+            raise ValueError(
+                f"physics {physics.name!r}: {name}: expected shape {(expected,)}, found {getattr(found, 'shape', found)}"
+            )

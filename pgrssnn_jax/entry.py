@@ -1,0 +1,106 @@
+"""What every entry script does around its work: check the packages, set up JAX, turn bad input into one sentence.
+
+Imports the standard library alone, so that a missing package can be named instead of ending in a traceback.
+"""
+
+import os
+import sys
+from collections.abc import Callable
+from importlib import metadata, util
+from pathlib import Path
+from typing import Any
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+_MODULES = {
+    "jax": "jax", "flax": "flax", "optax": "optax", "orbax-checkpoint": "orbax", "hydra-core": "hydra",
+    "numpy": "numpy", "scipy": "scipy", "pandas": "pandas", "matplotlib": "matplotlib", "rich": "rich",
+    "jaxtyping": "jaxtyping", "nonlinear-benchmarks": "nonlinear_benchmarks", "pin": "pinocchio",
+}  # fmt: skip
+
+
+class Interrupted(Exception):
+    """The user stopped a run; its text says how to continue."""
+
+
+def check_packages() -> None:
+    """Ends with exit code 2 and one sentence when a package is missing, or when the wrong `pinocchio` is there."""
+    if problem := package_problem():
+        sys.exit(_say(problem))
+
+
+def package_problem() -> str | None:
+    if not _installed("pin") and _installed("pinocchio"):
+        return (
+            "packages: expected Pinocchio from the package 'pin', found the unrelated package 'pinocchio': "
+            "run `pip uninstall pinocchio` and then `make install`."
+        )
+    missing = [name for name, module in _MODULES.items() if util.find_spec(module) is None]
+    if missing:
+        return f"packages: expected {', '.join(missing)}, found none installed: run `make install` and use `.venv`."
+    return None
+
+
+def _installed(name: str) -> bool:
+    try:
+        metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+def set_up_jax() -> None:
+    """One CPU device per core, so that members can be sharded, and compiled programs kept between commands.
+
+    Must run before the first JAX computation. JAX's own environment variables win.
+    """
+    import jax
+
+    if "JAX_NUM_CPU_DEVICES" not in os.environ:
+        jax.config.update("jax_num_cpu_devices", usable_cores())
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pgrssnn_jax" / "compiled"
+        jax.config.update("jax_compilation_cache_dir", str(cache))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def usable_cores() -> int:
+    if hasattr(os, "sched_getaffinity"):  # Linux: the cores this process may use, not those the machine has
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run(prepare: Callable[[Any], Callable[[], None]], config: Any) -> None:
+    """`prepare(config)()`: bad input raises `ValueError` while preparing, before anything is written.
+
+    Exit code 2 for bad input, 130 for an interrupted run; any other exception is a bug and keeps its traceback.
+    """
+    sys.path.insert(0, str(Path.cwd()))  # a user's own physics lives where the command is typed
+    set_up_jax()
+    try:
+        work = prepare(config)
+    except ValueError as problem:
+        sys.exit(_say(str(problem)))
+    try:
+        work()
+    except Interrupted as stopped:
+        _say(str(stopped))
+        sys.exit(INTERRUPTED)
+
+
+def call(main: Callable[[], None]) -> None:
+    """Calls a Hydra main; a configuration that does not compose is bad input too and ends with exit code 2.
+
+    Hydra itself ends with 1 both for that and for an exception in the job; the job has begun when JAX is loaded.
+    """
+    try:
+        main()
+    except SystemExit as ended:
+        composed = "jax" in sys.modules
+        sys.exit(BAD_INPUT if ended.code == 1 and not composed else ended.code)
+
+
+def _say(sentence: str) -> int:
+    sys.stderr.write(f"error: {sentence}\n")
+    return BAD_INPUT

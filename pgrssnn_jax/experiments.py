@@ -1,0 +1,148 @@
+"""What the commands do.
+
+train   configuration -> plan (all bad input) -> members trained -> predictions -> metrics -> run folder -> report
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+
+from pgrssnn_jax import evaluate
+from pgrssnn_jax.checkpoints import Checkpoint, CheckpointFolder
+from pgrssnn_jax.entry import Interrupted
+from pgrssnn_jax.fit import MemberState
+from pgrssnn_jax.members import keys_of, map_members
+from pgrssnn_jax.plan import Plan, plain, plan_training, resume_config
+from pgrssnn_jax.progress import training_bar
+from pgrssnn_jax.records import take
+from pgrssnn_jax.reports.tables import member_table, summary_table
+from pgrssnn_jax.reports.write import write_report
+from pgrssnn_jax.runs import RunFolder, discard_if_empty, read_config
+from pgrssnn_jax.training import Losses, Training, losses_table, no_losses, progress, train
+
+
+def prepare_training(config: DictConfig) -> Callable[[], None]:
+    """Reads and checks everything; what it returns trains. Raises `ValueError` for bad input, and leaves nothing."""
+    console = Console(stderr=False, highlight=False)
+    started = time.perf_counter()
+    hydra = HydraConfig.get()
+    folder = Path(hydra.runtime.output_dir)
+    try:
+        settings = plain(config)
+        if settings["resume"]:
+            folder = Path(settings["resume"])
+            settings = resume_config(settings, read_config(folder), folder, list(hydra.overrides.task))
+        plan = plan_training(settings, notify=console.print)
+    finally:
+        discard_if_empty(Path(hydra.runtime.output_dir))
+    command = " ".join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
+    loading = time.perf_counter() - started
+    return partial(train_run, plan, RunFolder(folder), console, command=command, seconds={"load": loading})
+
+
+def train_run(plan: Plan, run: RunFolder, console: Console, *, command: str, seconds: dict[str, float]) -> None:
+    """Trains, evaluates, reports. Raises `Interrupted` when stopped, after a checkpoint has been written."""
+    resuming = bool(plan.config["resume"])
+    console.print(_headline(plan), soft_wrap=True)
+    begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
+    first = Checkpoint(begun, plan.data.scaling, no_losses(len(plan.members)))
+    checkpoints = CheckpointFolder(run.checkpoint)
+    if resuming:
+        first = checkpoints.restore(first.state, first.scaling)
+    else:
+        run.begin(OmegaConf.to_yaml(OmegaConf.create({**plan.config, "resume": None})), command=command)
+        checkpoints.clear()
+    trained = _train(plan, first, checkpoints, console)
+    checkpoints.save(Checkpoint(trained.state, plan.data.scaling, trained.losses))
+    checkpoints.close()
+    history = losses_table(trained.losses, pd.DataFrame(plan.members))
+    run.write_csv("history.csv", history)
+    if trained.interrupted:
+        raise Interrupted(
+            f"stopped after epoch {trained.losses.epochs} of {plan.fit.settings.epochs}; "
+            f"continue with: python train.py resume={run.path}"
+        )
+    metrics, arrays = _evaluated(plan, trained.state, {**seconds, **trained.seconds})
+    run.write_arrays("predictions.npz", arrays)
+    run.write_json("metrics.json", metrics)
+    write_report(run)
+    run.finish()
+    console.print(member_table(metrics), summary_table(metrics))
+    console.print(f"run folder: {run.path}   page: {run.path / 'report.html'}", soft_wrap=True)
+
+
+def _headline(plan: Plan) -> str:
+    info, mapping = plan.splits.train.info, plan.mapping
+    return (
+        f"{plan.config['model']['name']} on {plan.config['data']['name']} ({info.source}: {info.origin}); "
+        f"{len(plan.members)} members, {mapping.how} on {mapping.devices} {jax.default_backend()} device(s)"
+    )
+
+
+def _train(plan: Plan, first: Checkpoint, checkpoints: CheckpointFolder, console: Console) -> Training:
+    """Training with a progress bar, and a checkpoint every `fit.checkpoint_seconds`."""
+    saved = time.perf_counter()
+
+    with training_bar(console, plan.fit.settings.epochs) as show:
+        if first.losses.epochs:
+            show(progress(first.state, first.losses, plan.fit.settings))
+
+        def on_chunk(state: MemberState, losses: Losses, now: Any) -> None:
+            nonlocal saved
+            show(now)
+            if time.perf_counter() - saved > plan.config["fit"]["checkpoint_seconds"]:
+                checkpoints.save(Checkpoint(state, plan.data.scaling, losses))
+                saved = time.perf_counter()
+
+        return train(plan.fit, plan.mapping, first.state, plan.data, first.losses, on_chunk=on_chunk)
+
+
+def _evaluated(
+    plan: Plan, state: MemberState, seconds: dict[str, float]
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """`metrics.json` and the arrays of `predictions.npz`, both in measured units."""
+    started = time.perf_counter()
+    predictions = evaluate.predict(plan.fit.objective, state, plan.data, plan.test, plan.mapping)
+    predictions = evaluate.in_physical_units(predictions, plan.units)
+    datasets = np.array([member.dataset for member in plan.members])
+    test, validation = take(plan.splits.test, datasets), take(plan.splits.validation, datasets)
+    rows = evaluate.member_rows(
+        plan.members, state, predictions, validation=validation, test=test, n_inits=plan.report_n_init
+    )
+    mean, deviation = evaluate.ensemble(rows, test, predictions)
+    info = test.info
+    seconds = {**seconds, "evaluate": time.perf_counter() - started}
+    metrics = {
+        "schema": 1,
+        "system": plan.fit.objective.model.physics.name,
+        "model": plan.config["model"]["name"],
+        "data": plan.config["data"]["name"],
+        "source": info.source,
+        "origin": info.origin,
+        "n_init": plan.report_n_init[0],
+        "dt": plan.fit.objective.model.physics.dt,
+        "outputs": [channel._asdict() for channel in info.outputs],
+        "members": rows,
+        "summary": evaluate.summary(rows, test, mean, plan.report_n_init),
+        "seconds": {**seconds, "total": sum(seconds.values())},
+    }
+    arrays = {
+        "y": test.y[0],
+        "u": test.u[0],
+        "mask": test.mask[0],
+        "y_hat": predictions.test.astype(np.float32),
+        "ensemble_mean": mean,
+        "ensemble_std": deviation,
+        "seed": np.array([member.seed for member in plan.members]),
+        "dataset": datasets,
+    }
+    return metrics, arrays

@@ -1,0 +1,222 @@
+"""From the composed configuration to everything a training run needs. All bad input is found here, before a byte is
+written: every function raises `ValueError` with one sentence."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import hydra
+import jax
+import numpy as np
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue
+
+from pgrssnn_jax import members
+from pgrssnn_jax.datasets.csv import load_csv
+from pgrssnn_jax.datasets.lgssm import load_lgssm
+from pgrssnn_jax.datasets.tanks import load_cascaded_tank
+from pgrssnn_jax.fit import Fit, FitSettings
+from pgrssnn_jax.initial_state import InitialState
+from pgrssnn_jax.model import Model, build_model, model_scaling
+from pgrssnn_jax.networks import ModelSpec
+from pgrssnn_jax.objective import MemberData, build_objective
+from pgrssnn_jax.physics.base import Physics, check_physics
+from pgrssnn_jax.records import Record, Splits, cast, take
+from pgrssnn_jax.scaling import Affine, standardise
+from pgrssnn_jax.settings import call_with
+
+LOADERS: dict[str, Callable[..., Splits]] = {
+    "cascaded_tank": load_cascaded_tank,
+    "lgssm": load_lgssm,
+    "csv": load_csv,
+}
+_NOT_OF_THE_LOADER = ("name", "published_scaling", "shared_initial_state")
+
+
+class Plan(NamedTuple):
+    """A training run before its first epoch.
+
+    splits: as measured, `[dataset, seq, time, channel]`; data and test: per member, in the units the model works on;
+    units: `[member, y]`, brings predictions back to the measured units.
+    """
+
+    config: dict[str, Any]
+    fit: Fit
+    mapping: members.Mapping
+    members: list[members.Member]
+    splits: Splits
+    data: MemberData
+    test: Record
+    units: Affine
+    report_n_init: list[int]
+
+
+def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> Plan:
+    """config: the resolved configuration as plain data; notify: shows one line to the user."""
+    physics = load_physics(config["physics"])
+    spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
+    model = build_model(spec, physics)
+    settings = call_with(FitSettings, _without(config["fit"], "checkpoint_seconds"), "fit")
+    shared = bool(config["data"].get("shared_initial_state", False))
+    start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
+    initial = call_with(InitialState, start, "initial_state")
+    objective = build_objective(model, initial, train_physics=settings.physics_parameters == "trained")
+    splits = load_splits(config["data"], physics, notify)
+    _check_lengths(splits, initial)
+    worked_on, units = _published_scaling(config["data"], splits)
+    chosen = _members(config, len(splits.train.u), nothing_trained=_nothing_trained(model, settings, initial))
+    datasets = np.array([member.dataset for member in chosen])
+    data, test = _member_data(model, worked_on, datasets, settings.epochs)
+    return Plan(
+        config=dict(config),
+        fit=Fit(objective, settings),
+        mapping=load_mapping(config["members"], len(chosen), data.train.u.shape[1]),
+        members=chosen,
+        splits=splits,
+        data=data,
+        test=test,
+        units=Affine(*(np.asarray(a)[datasets] for a in units)),
+        report_n_init=_report_n_init(config["report_n_init"], initial, splits.test),
+    )
+
+
+def plain(config: DictConfig) -> dict[str, Any]:
+    """The resolved configuration without Hydra's part; a value that must be given and is not is bad input."""
+    try:
+        found = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    except MissingMandatoryValue as missing:
+        key = missing.full_key
+        hint = _HINTS.get(str(key), "a value on the command line")
+        raise ValueError(f"{key}: expected {hint}, found none") from None
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
+
+
+_HINTS = {
+    "physics._target_": "+experiment=cascaded_tank, physics=tanks, or physics._target_=my_module.my_physics",
+    "data.train": "data.train=FILE.csv (or another data=...)",
+    "data.test": "data.test=FILE.csv",
+}
+
+
+def load_physics(group: Mapping[str, Any]) -> Physics:
+    """Calls the function named by `physics._target_` with the other keys of the group and checks what it returns."""
+    target = group["_target_"]
+    try:
+        function = hydra.utils.get_method(str(target))
+    except (ImportError, ValueError, AttributeError, TypeError) as problem:
+        reason = str(problem.__cause__ or problem).splitlines()[0]
+        raise ValueError(f"physics._target_: expected an importable function, found {target!r} ({reason})") from None
+    physics = call_with(function, _without(group, "_target_"), "physics")
+    check_physics(physics, str(target))
+    return physics
+
+
+def load_splits(group: Mapping[str, Any], physics: Physics, notify: Callable[[str], None]) -> Splits:
+    name = group["name"]
+    if name not in LOADERS:
+        raise ValueError(f"data.name: expected one of {sorted(LOADERS)}, found {name!r}")
+    loader = LOADERS[name]
+    splits = call_with(loader, _without(group, *_NOT_OF_THE_LOADER), "data", physics=physics, notify=notify)
+    found, expected = splits.train.info, physics
+    for what in ("inputs", "outputs"):
+        names = [channel.name for channel in getattr(found, what)]
+        wanted = [signal.name for signal in getattr(expected, what)]
+        if names != wanted:
+            raise ValueError(f"data: {what}: expected those of physics {physics.name!r}, {wanted}, found {names}")
+    return splits
+
+
+def load_mapping(group: Mapping[str, Any], n_members: int, n_sequences: int) -> members.Mapping:
+    """`auto` is resolved by what the benchmark found: see `members.choose_mapping`."""
+    chosen = members.choose_mapping(n_members, n_sequences, jax.device_count())
+    settings = {
+        "how": chosen.how if group["how"] == "auto" else group["how"],
+        "sub_batch": group["sub_batch"],
+        "devices": chosen.devices if group["devices"] == "auto" else group["devices"],
+    }
+    mapping = call_with(members.Mapping, settings, "members")
+    members.map_members(lambda: None, mapping)  # raises for what this machine does not have
+    return mapping
+
+
+def _without(group: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    return {key: value for key, value in group.items() if key not in names}
+
+
+def _published_scaling(group: Mapping[str, Any], splits: Splits) -> tuple[Splits, Affine]:
+    if group.get("published_scaling", False):
+        return standardise(splits)
+    n_datasets, n_y = len(splits.train.u), splits.train.y.shape[-1]
+    return splits, Affine(np.zeros((n_datasets, n_y)), np.ones((n_datasets, n_y)))
+
+
+def _nothing_trained(model: Model, settings: FitSettings, initial: InitialState) -> bool:
+    return model.graph is None and settings.physics_parameters == "fixed" and initial.kind != "estimated"
+
+
+def _members(config: Mapping[str, Any], n_datasets: int, *, nothing_trained: bool) -> list[members.Member]:
+    """Every dataset with every seed; one seed where nothing is trained, because all would be equal."""
+    seed, n_seeds = config["seed"], 1 if nothing_trained else config["n_seeds"]
+    for name, value, least in (("seed", seed, 0), ("n_seeds", n_seeds, 1)):
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            raise ValueError(f"{name}: expected an integer of at least {least}, found {value!r}")
+    return [members.Member(seed + i, dataset) for dataset in range(n_datasets) for i in range(n_seeds)]
+
+
+def _member_data(model: Model, splits: Splits, datasets: np.ndarray, epochs: int) -> tuple[MemberData, Record]:
+    """Records and scaling of every member, in float32: the precision of the networks."""
+    scalings = [model_scaling(model, take(splits.train, i)) for i in range(len(splits.train.u))]
+    stacked = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
+    train, validation, test = (cast(take(record, datasets), np.float32) for record in splits)
+    last_epoch = np.full(len(datasets), epochs, np.int32)
+    return MemberData(train, validation, stacked, last_epoch), test
+
+
+def _check_lengths(splits: Splits, initial: InitialState) -> None:
+    for name, record in zip(Splits._fields, splits, strict=True):
+        time = record.u.shape[2]
+        if time <= initial.n_init:
+            raise ValueError(
+                f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}"
+            )
+
+
+def _report_n_init(wanted: Any, initial: InitialState, test: Record) -> list[int]:
+    """The windows to report; samples from which the initial state was estimated never count in the main figure."""
+    if not isinstance(wanted, list) or not wanted or not all(type(n) is int and n >= 0 for n in wanted):
+        raise ValueError(f"report_n_init: expected a list of sample counts like [0, 5, 50], found {wanted!r}")
+    windows = [n for n in wanted if n < test.u.shape[2]] or [0]
+    used = initial.n_init if initial.kind == "estimated" and not initial.shared else 0
+    return windows if windows[0] >= used else [used, *(n for n in windows if n > used)]
+
+
+def resume_config(asked: Mapping[str, Any], saved: Mapping[str, Any], folder: Path, given: list[str]) -> dict[str, Any]:
+    """The saved configuration of `resume=FOLDER`, with those settings of `asked` that may change: how long to train and
+    how members are mapped. given: the overrides on the command line; without any the saved run simply goes on.
+
+    Raises `ValueError` when the command line describes another run than the saved one.
+    """
+    if not [text for text in given if not text.startswith(("resume=", "hydra."))]:
+        return {**saved, "resume": str(folder)}
+    flexible = {
+        "fit.epochs",
+        "fit.patience",
+        "fit.checkpoint_seconds",
+        "members.how",
+        "members.sub_batch",
+        "members.devices",
+    }
+    before, now = _flat(saved), _flat(asked)
+    for key in sorted((before.keys() | now.keys()) - flexible - {"resume"}):
+        if before.get(key) != now.get(key):
+            raise ValueError(
+                f"resume: {key}: expected {before.get(key)!r} as in {folder.name}/config.yaml, found {now.get(key)!r}"
+            )
+    return {**asked, "resume": str(folder)}
+
+
+def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(tree, Mapping):
+        return {prefix.rstrip("."): tree}
+    return {key: value for name, part in tree.items() for key, value in _flat(part, f"{prefix}{name}.").items()}

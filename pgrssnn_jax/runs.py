@@ -1,0 +1,135 @@
+"""The run folder: what a finished, interrupted or failed run leaves behind.
+
+    config.yaml  environment.json  history.csv  metrics.json  predictions.npz  checkpoint/  figures/*.png
+    report.html  DONE
+
+Every file is written under a temporary name and renamed; `DONE` is written last, so a folder without it holds a run
+that has not finished.
+"""
+
+import json
+import math
+import os
+import platform
+import subprocess
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+from omegaconf import OmegaConf
+
+_PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
+
+
+class RunFolder:
+    """Paths and atomic writers of one run; nothing is created before the first write."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / "checkpoint"
+
+    @property
+    def figures(self) -> Path:
+        return self.path / "figures"
+
+    @property
+    def finished(self) -> bool:
+        return (self.path / "DONE").exists()
+
+    def begin(self, config_text: str, *, command: str) -> None:
+        """Writes what is known before training. An earlier `DONE` goes first: from here on the run is unfinished."""
+        (self.path / "DONE").unlink(missing_ok=True)
+        self.write_text("config.yaml", config_text)
+        self.write_json("environment.json", {**environment(), "command": command})
+
+    def write_text(self, name: str, text: str) -> None:
+        self._replace(name, lambda path: path.write_text(text, encoding="utf-8"))
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+        self.write_text(name, json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
+
+    def write_csv(self, name: str, table: pd.DataFrame) -> None:
+        self._replace(name, lambda path: table.to_csv(path, index=False))
+
+    def write_arrays(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        def write(path: Path) -> None:
+            with path.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+
+        self._replace(name, write)
+
+    def finish(self) -> None:
+        self.write_text("DONE", "")
+
+    def _replace(self, name: str, write: Callable[[Path], object]) -> None:
+        self.path.mkdir(parents=True, exist_ok=True)
+        temporary = self.path / f".{name}.partial"
+        write(temporary)
+        temporary.replace(self.path / name)
+
+
+def environment() -> dict[str, Any]:
+    """Versions, device and commit: what someone needs to explain a difference in the last digits."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "devices": [str(device) for device in jax.devices()],
+        "x64": bool(jax.config.read("jax_enable_x64")),
+        "commit": _commit(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """Commit of this package's checkout, with `+changes` if the tree differs; None outside a checkout."""
+    here = Path(__file__).parent
+    try:
+        commit = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+changes", "--abbrev=12"],
+            cwd=here, capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return commit.stdout.strip()
+
+
+def _without_nan(content: Any) -> Any:
+    """JSON knows no NaN or infinity: null stands for a figure that does not exist."""
+    if isinstance(content, Mapping):
+        return {str(key): _without_nan(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_without_nan(value) for value in content]
+    if isinstance(content, float | np.floating):
+        return float(content) if math.isfinite(content) else None
+    return int(content) if isinstance(content, np.integer) else content
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """The configuration that a run folder was made with. Raises `ValueError` when `folder` holds no run."""
+    path = folder / "config.yaml"
+    if not path.is_file():
+        raise ValueError(f"resume: expected a run folder with a config.yaml, found none in {str(folder)!r}")
+    found = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
+
+
+def discard_if_empty(folder: Path) -> None:
+    """Removes a folder that nothing was written to; a run makes it again with its first file."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()

@@ -1,0 +1,60 @@
+"""Calling a function with a group of the composed configuration, with one sentence for what does not fit."""
+
+import inspect
+import types
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+
+
+def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, **more: Any) -> T:
+    """`function(**group, **more)` with every value of the group checked against the parameter's annotation.
+
+    where: the group's name in the configuration, for messages; arguments of `more` that the function does not take are
+    left out. Raises `ValueError` for an unknown key, for a missing one, and for a value of another type or outside
+    its choices; the checks of `function` itself apply too.
+    """
+    hints = get_type_hints(function.__init__ if inspect.isclass(function) else function)
+    parameters = inspect.signature(function).parameters
+    known = [name for name in parameters if name not in more]
+    for name in group:
+        if name not in known:
+            raise ValueError(f"{where}: expected the keys {known}, found {name!r}")
+    arguments = {name: _checked(value, hints.get(name, Any), f"{where}.{name}") for name, value in group.items()}
+    arguments |= {name: value for name, value in more.items() if name in parameters}
+    for name, parameter in parameters.items():
+        if parameter.default is parameter.empty and name not in arguments:
+            raise ValueError(f"{where}.{name}: expected a value, found none")
+    return function(**arguments)
+
+
+def _checked(value: Any, hint: Any, where: str) -> Any:
+    options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    if any(_accepts(option, value) for option in options):
+        return float(value) if float in options and isinstance(value, int) and int not in options else value
+    raise ValueError(f"{where}: expected {_named(options)}, found {value!r}")
+
+
+def _accepts(option: Any, value: Any) -> bool:
+    if option is Any or isinstance(option, TypeVar):
+        return True
+    if get_origin(option) is Literal:
+        return value in get_args(option)
+    kind = get_origin(option) or option
+    if isinstance(value, bool) and kind in (int, float):
+        return False
+    accepted = {float: (int, float), Sequence: (list, tuple), Path: (str, Path)}.get(kind, kind)
+    return isinstance(value, accepted)
+
+
+def _named(options: tuple[Any, ...]) -> str:
+    words: list[str] = []
+    for option in options:
+        if get_origin(option) is Literal:
+            words += [str(choice) for choice in get_args(option)]
+        else:
+            origin = get_origin(option) or option
+            words.append({type(None): "null", Sequence: "a list"}.get(origin, getattr(origin, "__name__", str(origin))))
+    return " | ".join(words)

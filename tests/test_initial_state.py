@@ -1,0 +1,105 @@
+"""Where a free run starts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small import START, simulated, small_fit
+
+from pgrssnn_jax.initial_state import InitialState, start_state
+from pgrssnn_jax.members import select
+from pgrssnn_jax.model import ModelParams, build_model, model_scaling
+from pgrssnn_jax.networks import ModelSpec
+from pgrssnn_jax.objective import build_objective
+from pgrssnn_jax.physics.base import Signal
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+from pgrssnn_jax.records import cast
+
+
+def alone(samples: int = 60):
+    physics = cascaded_tanks()
+    model = build_model(ModelSpec(networks=False), physics)
+    record = cast(simulated(physics, samples=samples, seed=3), np.float32)
+    return model, ModelParams({}, physics.params, model_scaling(model, record)), record
+
+
+def test_zero_and_first_output():
+    model, params, record = alone()
+    assert np.array_equal(start_state(model, params, record, InitialState("zero")), [[0, 0]])
+    first = float(record.y[0, 0, 0])
+    np.testing.assert_array_equal(start_state(model, params, record, InitialState("first_output")), [[first, first]])
+
+
+def test_a_state_that_resembles_no_output_starts_at_zero():
+    model, params, record = alone()
+    states = (Signal("upper_level", "V"), model.physics.states[1])
+    model = model._replace(physics=model.physics._replace(states=states))
+    start = start_state(model, params, record, InitialState("first_output"))
+    assert start[0, 0] == 0
+    assert start[0, 1] == record.y[0, 0, 0]
+
+
+def test_the_estimate_finds_the_true_start_of_a_noise_free_record():
+    model, params, record = alone()
+    found = start_state(model, params, record, InitialState("estimated", n_init=30))
+    np.testing.assert_allclose(found[0], START, atol=0.02)
+
+
+def test_the_estimate_sees_the_first_samples_alone():
+    model, params, record = alone()
+    initial = InitialState("estimated", n_init=12)
+    other = record._replace(y=np.where(np.arange(60)[None, :, None] < 12, record.y, 99.0).astype(np.float32))
+    np.testing.assert_array_equal(
+        start_state(model, params, record, initial), start_state(model, params, other, initial)
+    )
+
+
+def test_masked_samples_do_not_count_in_the_estimate():
+    model, params, record = alone()
+    initial = InitialState("estimated", n_init=30)
+    hidden = np.ones(record.y.shape, bool)
+    hidden[:, 5:9] = False
+    wrong = record._replace(y=np.where(hidden, record.y, 50.0).astype(np.float32), mask=hidden)
+    np.testing.assert_allclose(start_state(model, params, wrong, initial)[0], START, atol=0.03)
+
+
+def test_one_sample_is_enough_to_stay_finite():
+    model, params, record = alone()
+    found = start_state(model, params, record, InitialState("estimated", n_init=1))
+    assert np.isfinite(found).all()
+
+
+def test_a_diverging_model_keeps_the_guess():
+    model, params, record = alone()
+    physics = model.physics._replace(step=lambda p, x, u: x * jnp.nan)
+    found = start_state(model._replace(physics=physics), params, record, InitialState("estimated", n_init=5))
+    np.testing.assert_array_equal(found, start_state(model, params, record, InitialState("first_output")))
+
+
+@pytest.mark.parametrize("kind", ["first_output", "estimated"])
+def test_a_shared_start_is_the_training_records(kind):
+    initial = InitialState(kind, n_init=10, shared=True)
+    fit, data = small_fit(initial=initial, members=1)
+    one = select(data, 0)
+    theta = fit.objective.begin(jax.random.key(0), one)
+    test = one.validation
+    start = fit.objective.test_state(theta, one, test)
+    np.testing.assert_allclose(start, np.full((1, 2), one.train.y[0, 0, 0]), rtol=1e-5)
+    own = build_objective(fit.objective.model, InitialState(kind, n_init=10)).test_state(theta, one, test)
+    assert not np.allclose(own, start, atol=1e-3)
+
+
+def test_training_sequences_have_trained_starts():
+    fit, data = small_fit(initial=InitialState("estimated", n_init=10, shared=True), members=1)
+    one = select(data, 0)
+    theta = fit.objective.begin(jax.random.key(0), one)
+    assert theta.x0.shape == (1, 2)
+    gradient = jax.grad(lambda t: fit.objective.on_train(t, one).total)(theta)
+    assert np.all(np.asarray(gradient.x0) != 0)
+
+
+def test_impossible_settings_are_named():
+    with pytest.raises(ValueError, match="n_init: expected at least 1 sample for initial_state=estimated, found 0"):
+        InitialState("estimated")
+    with pytest.raises(ValueError, match="n_init: expected 0 or more"):
+        InitialState("zero", n_init=-1)

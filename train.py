@@ -1,0 +1,19 @@
+"""Train a model: python train.py +experiment=cascaded_tank [model=rssnn] [fit.epochs=200] [-m ...]."""
+
+from pgrssnn_jax import entry
+
+entry.check_packages()
+
+import hydra  # noqa: E402
+from omegaconf import DictConfig  # noqa: E402
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="train")
+def main(config: DictConfig) -> None:
+    from pgrssnn_jax.experiments import prepare_training
+
+    entry.run(prepare_training, config)
+
+
+if __name__ == "__main__":
+    entry.call(main)
