@@ -1,8 +1,8 @@
 """Saving and restoring the whole state of training with orbax.
 
 A checkpoint holds everything that the next chunk depends on, so that a resumed run ends with the same numbers, bit for
-bit, as one that was never interrupted: trainable and best parameters, optimizer state, epoch, outcome, scaling, and
-the losses so far. Orbax writes to a temporary name and renames; a checkpoint that exists is whole.
+bit, as one that was never interrupted: trainable and best parameters, optimizer state, epoch, outcome, scaling, units,
+and the losses so far. Orbax writes to a temporary name and renames; a checkpoint that exists is whole.
 """
 
 from pathlib import Path
@@ -13,13 +13,14 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from pgrssnn_jax.fit import MemberState
-from pgrssnn_jax.scaling import Scaling
-from pgrssnn_jax.training import Losses
+from pgrssnn_jax.scaling import Scaling, Units
+from pgrssnn_jax.training import Losses, no_losses
 
 
 class Checkpoint(NamedTuple):
     state: MemberState
     scaling: Scaling
+    units: Units
     losses: Losses
 
 
@@ -35,30 +36,28 @@ class CheckpointFolder:
         epoch = checkpoint.losses.epochs
         if epoch != self._manager.latest_step():
             host = jax.tree.map(np.asarray, jax.device_get(checkpoint))
-            self._manager.save(epoch, args=ocp.args.StandardSave(_plain(host)))
+            self._manager.save(epoch, args=ocp.args.StandardSave(_named(host)))
 
-    def restore(self, like: MemberState, scaling: Scaling) -> Checkpoint:
-        """The latest checkpoint, in the structure of a freshly begun state.
+    def restore(self, like: Checkpoint, *, any_shape: bool = False) -> Checkpoint:
+        """The latest checkpoint, in the structure of `like`; any_shape: whatever the number of members and sequences.
 
-        Raises `ValueError` when there is none, or when it holds other members or another model than `like`.
+        Raises `ValueError` when there is none, or when it belongs to other members or another model than `like`.
         """
         epoch = self._manager.latest_step()
         if epoch is None:
-            raise ValueError(f"resume: {self._manager.directory}: expected a checkpoint, found none")
-        found = self._manager.restore(epoch, args=ocp.args.StandardRestore())
-        expected = _plain(Checkpoint(like, scaling, Losses(np.zeros((0, 0)), np.zeros((0, 0)))))
-        for name in ("state", "scaling"):
-            if _shapes(found[name]) != _shapes(expected[name]):
+            raise ValueError(f"checkpoint: expected one in {str(self._manager.directory)!r}, found none")
+        found, expected = self._manager.restore(epoch, args=ocp.args.StandardRestore()), _named(like)
+        trees: list[Any] = []
+        for name in ("state", "scaling", "units"):
+            here, there = (_shapes(named.get(name, {}), any_shape) for named in (found, expected))
+            if here != there:
                 raise ValueError(
-                    f"resume: {self._manager.directory}: {name}: expected the arrays of this model and its members, "
-                    "found those of another one"
+                    f"checkpoint: {name}: expected the arrays of this model and its members, found those of another one"
                 )
-        structure = jax.tree.structure(like), jax.tree.structure(scaling)
-        return Checkpoint(
-            jax.tree.unflatten(structure[0], _leaves(found["state"])),
-            jax.tree.unflatten(structure[1], _leaves(found["scaling"])),
-            Losses(**{name: np.asarray(values) for name, values in found["losses"].items()}),
-        )
+            leaves = [found[name][key] for key in sorted(found.get(name, {}))]
+            trees.append(jax.tree.unflatten(jax.tree.structure(getattr(like, name)), leaves))
+        losses = Losses(**found["losses"]) if epoch else no_losses(len(trees[0].epoch))
+        return Checkpoint(trees[0], trees[1], trees[2], losses)
 
     def clear(self) -> None:
         """Forgets the checkpoints of an earlier run in the same folder."""
@@ -69,20 +68,18 @@ class CheckpointFolder:
         self._manager.close()
 
 
-def _plain(checkpoint: Checkpoint) -> dict[str, Any]:
-    """Named arrays: readable without this package, and independent of how optax or Flax nest their states."""
+def _named(checkpoint: Checkpoint) -> dict[str, Any]:
+    """Arrays by name: readable without this package, and independent of how optax or Flax nest their states."""
     named = {}
-    for name, tree in (("state", checkpoint.state), ("scaling", checkpoint.scaling)):
-        paths = jax.tree_util.tree_leaves_with_path(tree)
+    for name in ("state", "scaling", "units"):
+        paths = jax.tree_util.tree_leaves_with_path(getattr(checkpoint, name))
         named[name] = {
             f"{i:04d}{jax.tree_util.keystr(path)}".replace("/", "|"): leaf for i, (path, leaf) in enumerate(paths)
         }
-    return {**named, "losses": checkpoint.losses._asdict()}
+    if checkpoint.losses.epochs:  # orbax refuses arrays without elements
+        named["losses"] = checkpoint.losses._asdict()
+    return named
 
 
-def _leaves(named: dict[str, Any]) -> list[Any]:
-    return [named[name] for name in sorted(named)]
-
-
-def _shapes(named: dict[str, Any]) -> dict[str, tuple[int, ...]]:
-    return {name: tuple(np.shape(leaf)) for name, leaf in named.items()}
+def _shapes(named: dict[str, Any], any_shape: bool) -> dict[str, tuple[int, ...]]:
+    return {name: () if any_shape else tuple(np.shape(leaf)) for name, leaf in named.items()}

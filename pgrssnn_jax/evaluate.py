@@ -16,7 +16,7 @@ from pgrssnn_jax.metrics import all_metrics, rmse
 from pgrssnn_jax.objective import MemberData, Objective
 from pgrssnn_jax.records import Record
 from pgrssnn_jax.rollout import rollout
-from pgrssnn_jax.scaling import Affine
+from pgrssnn_jax.scaling import Units
 
 
 class Predictions(NamedTuple):
@@ -47,9 +47,9 @@ def predict(
     return Predictions(*map(np.asarray, jax.jit(map_members(one, mapping))(state, data, test)))
 
 
-def in_physical_units(predictions: Predictions, units: Affine) -> Predictions:
-    """Undoes the standardisation of records (`scaling.standardise`); units `[member, y]`."""
-    offset, scale = (np.asarray(a)[:, None, None, :] for a in units)
+def in_physical_units(predictions: Predictions, units: Units) -> Predictions:
+    """Undoes the standardisation of records (`scaling.standardise`); units per member."""
+    offset, scale = (np.asarray(a)[:, None, None, :] for a in units.y)
     return predictions._replace(
         test=offset + scale * predictions.test, validation=offset + scale * predictions.validation
     )

@@ -21,12 +21,13 @@ from pgrssnn_jax.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.entry import Interrupted
 from pgrssnn_jax.fit import MemberState
 from pgrssnn_jax.members import keys_of, map_members
-from pgrssnn_jax.plan import Plan, plain, plan_training, resume_config
+from pgrssnn_jax.plan import Plan, loose, plain, plan_training
 from pgrssnn_jax.progress import training_bar
 from pgrssnn_jax.records import take
 from pgrssnn_jax.reports.tables import member_table, summary_table
 from pgrssnn_jax.reports.write import write_report
-from pgrssnn_jax.runs import RunFolder, discard_if_empty, read_config
+from pgrssnn_jax.resume import resume_config
+from pgrssnn_jax.runs import RunFolder, discard_if_empty, read_config, shown
 from pgrssnn_jax.training import Losses, Training, losses_table, no_losses, progress, train
 
 
@@ -37,10 +38,11 @@ def prepare_training(config: DictConfig) -> Callable[[], None]:
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     try:
-        settings = plain(config)
-        if settings["resume"]:
-            folder = Path(settings["resume"])
-            settings = resume_config(settings, read_config(folder), folder, list(hydra.overrides.task))
+        if config.resume:
+            folder = Path(config.resume)
+            settings = resume_config(loose(config), read_config(folder), hydra.overrides.task, folder)
+        else:
+            settings = plain(config)
         plan = plan_training(settings, notify=console.print)
     finally:
         discard_if_empty(Path(hydra.runtime.output_dir))
@@ -54,22 +56,22 @@ def train_run(plan: Plan, run: RunFolder, console: Console, *, command: str, sec
     resuming = bool(plan.config["resume"])
     console.print(_headline(plan), soft_wrap=True)
     begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
-    first = Checkpoint(begun, plan.data.scaling, no_losses(len(plan.members)))
+    first = Checkpoint(begun, plan.data.scaling, plan.units, no_losses(len(plan.members)))
     checkpoints = CheckpointFolder(run.checkpoint)
     if resuming:
-        first = checkpoints.restore(first.state, first.scaling)
+        first = checkpoints.restore(first)
     else:
         run.begin(OmegaConf.to_yaml(OmegaConf.create({**plan.config, "resume": None})), command=command)
         checkpoints.clear()
     trained = _train(plan, first, checkpoints, console)
-    checkpoints.save(Checkpoint(trained.state, plan.data.scaling, trained.losses))
+    checkpoints.save(first._replace(state=trained.state, losses=trained.losses))
     checkpoints.close()
     history = losses_table(trained.losses, pd.DataFrame(plan.members))
     run.write_csv("history.csv", history)
     if trained.interrupted:
         raise Interrupted(
             f"stopped after epoch {trained.losses.epochs} of {plan.fit.settings.epochs}; "
-            f"continue with: python train.py resume={run.path}"
+            f"continue with: python train.py resume={shown(run.path)}"
         )
     metrics, arrays = _evaluated(plan, trained.state, {**seconds, **trained.seconds})
     run.write_arrays("predictions.npz", arrays)
@@ -77,7 +79,7 @@ def train_run(plan: Plan, run: RunFolder, console: Console, *, command: str, sec
     write_report(run)
     run.finish()
     console.print(member_table(metrics), summary_table(metrics))
-    console.print(f"run folder: {run.path}   page: {run.path / 'report.html'}", soft_wrap=True)
+    console.print(f"run folder: {shown(run.path)}   page: {shown(run.path / 'report.html')}", soft_wrap=True)
 
 
 def _headline(plan: Plan) -> str:
@@ -100,7 +102,7 @@ def _train(plan: Plan, first: Checkpoint, checkpoints: CheckpointFolder, console
             nonlocal saved
             show(now)
             if time.perf_counter() - saved > plan.config["fit"]["checkpoint_seconds"]:
-                checkpoints.save(Checkpoint(state, plan.data.scaling, losses))
+                checkpoints.save(first._replace(state=state, losses=losses))
                 saved = time.perf_counter()
 
         return train(plan.fit, plan.mapping, first.state, plan.data, first.losses, on_chunk=on_chunk)

@@ -125,7 +125,7 @@ class Fit(NamedTuple):
         return jax.lax.scan(block, state, None, length=self.settings.blocks)
 
     def _epoch(self, state: MemberState, data: MemberData) -> tuple[MemberState, jax.Array]:
-        def objective(theta: Trainable) -> tuple[jax.Array, Loss]:
+        def objective(theta: Trainable) -> tuple[Any, Loss]:
             loss = self.objective.on_train(theta, data)
             return loss.total, loss
 

@@ -76,7 +76,9 @@ def _levenberg_marquardt(residual: Callable[[jax.Array], jax.Array], start: jax.
     Our own, because it runs inside `shard_map` over members, which the solvers of optimistix refuse.
     """
 
-    def body(_: jax.Array | int, carry: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def body(
+        _: jax.Array | int, carry: tuple[jax.Array, jax.Array, jax.Array]
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
         z, cost, damping = carry
         r, slope = residual(z), jax.jacfwd(residual)(z)
         normal = slope.T @ slope

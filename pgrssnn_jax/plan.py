@@ -2,14 +2,12 @@
 written: every function raises `ValueError` with one sentence."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import hydra
 import jax
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import MissingMandatoryValue
 
 from pgrssnn_jax import members
 from pgrssnn_jax.datasets.csv import load_csv
@@ -22,7 +20,7 @@ from pgrssnn_jax.networks import ModelSpec
 from pgrssnn_jax.objective import MemberData, build_objective
 from pgrssnn_jax.physics.base import Physics, check_physics
 from pgrssnn_jax.records import Record, Splits, cast, take
-from pgrssnn_jax.scaling import Affine, standardise
+from pgrssnn_jax.scaling import Units, measured_units, standardise
 from pgrssnn_jax.settings import call_with
 
 LOADERS: dict[str, Callable[..., Splits]] = {
@@ -37,7 +35,7 @@ class Plan(NamedTuple):
     """A training run before its first epoch.
 
     splits: as measured, `[dataset, seq, time, channel]`; data and test: per member, in the units the model works on;
-    units: `[member, y]`, brings predictions back to the measured units.
+    units: per member, brings predictions back to the measured units.
     """
 
     config: dict[str, Any]
@@ -47,49 +45,43 @@ class Plan(NamedTuple):
     splits: Splits
     data: MemberData
     test: Record
-    units: Affine
+    units: Units
     report_n_init: list[int]
 
 
 def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> Plan:
     """config: the resolved configuration as plain data; notify: shows one line to the user."""
-    physics = load_physics(config["physics"])
-    spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
-    model = build_model(spec, physics)
-    settings = call_with(FitSettings, _without(config["fit"], "checkpoint_seconds"), "fit")
-    shared = bool(config["data"].get("shared_initial_state", False))
-    start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
-    initial = call_with(InitialState, start, "initial_state")
-    objective = build_objective(model, initial, train_physics=settings.physics_parameters == "trained")
-    splits = load_splits(config["data"], physics, notify)
+    fit = plan_fit(config)
+    model, initial = fit.objective.model, fit.objective.initial
+    splits = load_splits(config["data"], model.physics, notify)
     _check_lengths(splits, initial)
     worked_on, units = _published_scaling(config["data"], splits)
-    chosen = _members(config, len(splits.train.u), nothing_trained=_nothing_trained(model, settings, initial))
+    chosen = _members(config, len(splits.train.u), nothing_trained=_nothing_trained(fit))
     datasets = np.array([member.dataset for member in chosen])
-    data, test = _member_data(model, worked_on, datasets, settings.epochs)
+    data, test = _member_data(model, worked_on, datasets, fit.settings.epochs)
     return Plan(
         config=dict(config),
-        fit=Fit(objective, settings),
+        fit=fit,
         mapping=load_mapping(config["members"], len(chosen), data.train.u.shape[1]),
         members=chosen,
         splits=splits,
         data=data,
         test=test,
-        units=Affine(*(np.asarray(a)[datasets] for a in units)),
+        units=jax.tree.map(lambda a: a[datasets], units),
         report_n_init=_report_n_init(config["report_n_init"], initial, splits.test),
     )
 
 
-def plain(config: DictConfig) -> dict[str, Any]:
-    """The resolved configuration without Hydra's part; a value that must be given and is not is bad input."""
-    try:
-        found = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-    except MissingMandatoryValue as missing:
-        key = missing.full_key
-        hint = _HINTS.get(str(key), "a value on the command line")
-        raise ValueError(f"{key}: expected {hint}, found none") from None
-    assert isinstance(found, dict)
-    return {str(key): value for key, value in found.items()}
+def plan_fit(config: Mapping[str, Any]) -> Fit:
+    """Physics, model and training settings of a configuration; no data."""
+    spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
+    model = build_model(spec, load_physics(config["physics"]))
+    settings = call_with(FitSettings, _without(config["fit"], "checkpoint_seconds"), "fit")
+    shared = bool(config["data"].get("shared_initial_state", False))
+    start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
+    initial = call_with(InitialState, start, "initial_state")
+    train_physics = settings.physics_parameters == "trained"
+    return Fit(build_objective(model, initial, train_physics=train_physics), settings)
 
 
 _HINTS = {
@@ -97,6 +89,22 @@ _HINTS = {
     "data.train": "data.train=FILE.csv (or another data=...)",
     "data.test": "data.test=FILE.csv",
 }
+
+
+def plain(config: DictConfig) -> dict[str, Any]:
+    """The resolved configuration without Hydra's part; a value that must be given and is not is bad input."""
+    missing = sorted(OmegaConf.missing_keys(config), key=lambda key: (not key.startswith("physics"), key))
+    if missing:
+        hint = _HINTS.get(missing[0], "a value on the command line")
+        raise ValueError(f"{missing[0]}: expected {hint}, found none")
+    return loose(config)
+
+
+def loose(config: DictConfig) -> dict[str, Any]:
+    """The same as `plain`, with `???` where a value is missing."""
+    found = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
 
 
 def load_physics(group: Mapping[str, Any]) -> Physics:
@@ -144,15 +152,13 @@ def _without(group: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {key: value for key, value in group.items() if key not in names}
 
 
-def _published_scaling(group: Mapping[str, Any], splits: Splits) -> tuple[Splits, Affine]:
-    if group.get("published_scaling", False):
-        return standardise(splits)
-    n_datasets, n_y = len(splits.train.u), splits.train.y.shape[-1]
-    return splits, Affine(np.zeros((n_datasets, n_y)), np.ones((n_datasets, n_y)))
+def _published_scaling(group: Mapping[str, Any], splits: Splits) -> tuple[Splits, Units]:
+    return standardise(splits) if group.get("published_scaling", False) else (splits, measured_units(splits))
 
 
-def _nothing_trained(model: Model, settings: FitSettings, initial: InitialState) -> bool:
-    return model.graph is None and settings.physics_parameters == "fixed" and initial.kind != "estimated"
+def _nothing_trained(fit: Fit) -> bool:
+    objective = fit.objective
+    return objective.model.graph is None and not objective.train_physics and objective.initial.kind != "estimated"
 
 
 def _members(config: Mapping[str, Any], n_datasets: int, *, nothing_trained: bool) -> list[members.Member]:
@@ -189,34 +195,3 @@ def _report_n_init(wanted: Any, initial: InitialState, test: Record) -> list[int
     windows = [n for n in wanted if n < test.u.shape[2]] or [0]
     used = initial.n_init if initial.kind == "estimated" and not initial.shared else 0
     return windows if windows[0] >= used else [used, *(n for n in windows if n > used)]
-
-
-def resume_config(asked: Mapping[str, Any], saved: Mapping[str, Any], folder: Path, given: list[str]) -> dict[str, Any]:
-    """The saved configuration of `resume=FOLDER`, with those settings of `asked` that may change: how long to train and
-    how members are mapped. given: the overrides on the command line; without any the saved run simply goes on.
-
-    Raises `ValueError` when the command line describes another run than the saved one.
-    """
-    if not [text for text in given if not text.startswith(("resume=", "hydra."))]:
-        return {**saved, "resume": str(folder)}
-    flexible = {
-        "fit.epochs",
-        "fit.patience",
-        "fit.checkpoint_seconds",
-        "members.how",
-        "members.sub_batch",
-        "members.devices",
-    }
-    before, now = _flat(saved), _flat(asked)
-    for key in sorted((before.keys() | now.keys()) - flexible - {"resume"}):
-        if before.get(key) != now.get(key):
-            raise ValueError(
-                f"resume: {key}: expected {before.get(key)!r} as in {folder.name}/config.yaml, found {now.get(key)!r}"
-            )
-    return {**asked, "resume": str(folder)}
-
-
-def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
-    if not isinstance(tree, Mapping):
-        return {prefix.rstrip("."): tree}
-    return {key: value for name, part in tree.items() for key, value in _flat(part, f"{prefix}{name}.").items()}

@@ -129,6 +129,11 @@ def read_config(folder: Path) -> dict[str, Any]:
     return {str(key): value for key, value in found.items()}
 
 
+def shown(path: Path) -> str:
+    """A path as a person would type it: relative where it lies under the current folder."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
 def discard_if_empty(folder: Path) -> None:
     """Removes a folder that nothing was written to; a run makes it again with its first file."""
     if folder.is_dir() and not any(folder.iterdir()):

@@ -102,18 +102,35 @@ def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "sam
     return np.nan_to_num(x.reshape(-1, x.shape[-1]), posinf=0.0, neginf=0.0)
 
 
-def standardise(splits: Splits) -> tuple[Splits, Affine]:
+class Units(NamedTuple):
+    """From the units that a model works in to the measured ones, per dataset or member: measured = offset + scale ·
+    worked in. The identity, unless records were standardised."""
+
+    u: Affine
+    y: Affine
+
+
+def measured_units(splits: Splits) -> Units:
+    """The identity for every dataset of `splits`."""
+
+    def unit(signal: Array) -> Affine:
+        shape = (len(signal), signal.shape[-1])
+        return Affine(np.zeros(shape), np.ones(shape))
+
+    return Units(unit(splits.train.u), unit(splits.train.y))
+
+
+def standardise(splits: Splits) -> tuple[Splits, Units]:
     """All records of every dataset in units of its own training record: zero mean, unit standard deviation.
 
-    splits: records `[dataset, seq, time, channel]`. Returns the scaled splits and the affine map `[dataset, y]` that
-    brings their outputs back. This is the published convention for the linear model, whose matrices then act on
-    standardised signals.
+    splits: records `[dataset, seq, time, channel]`. Returns the scaled splits and the units that bring them back. This
+    is the published convention for the linear model, whose matrices then act on standardised signals.
     """
     fitted = [signal_scaling(take(splits.train, i)) for i in range(len(splits.train.u))]
-    u, y = (Affine(*map(np.stack, zip(*pair, strict=True))) for pair in zip(*fitted, strict=True))
+    units = Units(*(Affine(*map(np.stack, zip(*pair, strict=True))) for pair in zip(*fitted, strict=True)))
 
     def scaled(affine: Affine, signal: Array) -> np.ndarray:
         offset, scale = (np.asarray(a)[:, None, None, :] for a in affine)
         return (np.asarray(signal) - offset) / scale
 
-    return Splits(*(r._replace(u=scaled(u, r.u), y=scaled(y, r.y)) for r in splits)), y
+    return Splits(*(r._replace(u=scaled(units.u, r.u), y=scaled(units.y, r.y)) for r in splits)), units

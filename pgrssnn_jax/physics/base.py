@@ -142,7 +142,6 @@ def check_physics(physics: Any, where: str) -> None:
                 f"physics {physics.name!r}: {name}: expected it to take params, x [{sizes['states']}] and "
                 f"u [{sizes['inputs']}], found {type(problem).__name__}: {reason}"
             ) from problem
-        if getattr(found, "shape", None) != (expected,):
-            raise ValueError(
-                f"physics {physics.name!r}: {name}: expected shape {(expected,)}, found {getattr(found, 'shape', found)}"
-            )
+        shape = getattr(found, "shape", found)
+        if shape != (expected,):
+            raise ValueError(f"physics {physics.name!r}: {name}: expected shape {(expected,)}, found {shape}")

@@ -57,7 +57,7 @@ def cascaded_tanks(
 ) -> Physics:
     """The published two-tank model; the defaults of k1 .. k5 are the published estimates.
 
-    dt: s. clamp: after each step limit x1 to at most 10 V and x2 to 0 .. 10 V, as the authors' code does.
+    dt: s. clamp: after each step limit both levels to 0 .. 10 V (`clamped`).
     Raises `ValueError` for an unknown integrator, sub_steps < 1 or dt ≤ 0.
     """
     physics = continuous(
@@ -80,10 +80,14 @@ def cascaded_tanks(
 
 
 def clamped(physics: Physics) -> Physics:
-    """The same tanks with x1 ≤ 10 V and 0 ≤ x2 ≤ 10 V enforced after each step."""
+    """The same tanks with both levels limited to 0 .. 10 V after each step.
+
+    The authors' code limits x1 from above and x2 on both sides. The lower limit of x1 is ours: the physics alone never
+    reaches it, but a network that pushes an empty upper tank below zero would get no gradient to come back.
+    """
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         x = physics.step(p, x, u)
-        return jnp.clip(x, jnp.array([-jnp.inf, 0.0], x.dtype), jnp.array([10.0, 10.0], x.dtype))
+        return jnp.clip(x, 0.0, 10.0)
 
     return physics._replace(step=step)

@@ -1,0 +1,107 @@
+"""The members figure: how the members of a run compare, and which outputs are hard."""
+
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from pgrssnn_jax.reports import content, style
+from pgrssnn_jax.reports.content import MemberRow, Metrics, rounded
+
+NAMED_MEMBERS = 30
+
+
+def members_figure(metrics: Metrics) -> Figure:
+    """Test RMSE of every member, best to worst, with mean, median and ensemble; failed members stand at the end.
+
+    With several outputs a second panel shows the NRMSE of each, so that an output that is hard to predict shows.
+    """
+    finished, failed = content.ranked(content.member_rows(metrics))
+    several = len(metrics["outputs"]) > 1
+    lines = [f"{content.counts(metrics)} · n_init {metrics['n_init']}", content.source(metrics)]
+    figure = style.page(11.0, 3.8, metrics, lines)
+    grid = figure.add_gridspec(1, 2, width_ratios=[1.6, 1.0]) if several else figure.add_gridspec(1, 1)
+    handles = _draw_ranking(figure.add_subplot(grid[0]), finished, failed, metrics)
+    if several:
+        _draw_outputs(figure.add_subplot(grid[1]), metrics)
+    style.legend(figure, handles)
+    return figure
+
+
+def _draw_ranking(ax: Axes, finished: list[MemberRow], failed: list[MemberRow], metrics: Metrics) -> list[Artist]:
+    summary, unit = content.headline(metrics), content.unit(metrics)
+    order = [*finished, *failed]
+    named = 0 < len(order) <= NAMED_MEMBERS
+    several_datasets = len({row.dataset for row in order}) > 1
+    what = "members by seed" + (" / dataset" if several_datasets else "") if named else "members, best to worst"
+    style.quiet(
+        ax, x=f"{what}, best to worst" if named else what, y=style.label(f"test {content.merit(metrics)}", unit)
+    )
+    ax.grid(False, axis="x")
+    if named:
+        names = [f"{row.seed}/{row.dataset}" if several_datasets else str(row.seed) for row in order]
+        ax.set_xticks(range(1, len(order) + 1), names, rotation=60 if several_datasets and len(order) > 14 else 0)
+    ax.set_xlim(0, max(len(order), 1) + 1)
+    end = len(finished) + (0.5 if failed else 1.0) if finished else 0.0
+
+    rmse = np.array([row.rmse for row in finished], float)
+    usable = rmse[np.isfinite(rmse)]
+    if len(usable) and usable.max() > 20 * np.median(usable) and usable.min() > 0:
+        ax.set_yscale("log")
+    ax.plot(range(1, len(rmse) + 1), rmse, "o", color=style.BLUE, markersize=6 if named else 4.5, alpha=0.9, zorder=3)
+    handles: list[Artist] = [Line2D([], [], color=style.BLUE, marker="o", linewidth=0, markersize=5, label="member")]
+    if np.isfinite([summary.mean, summary.std]).all():
+        low, high = summary.mean - summary.std, summary.mean + summary.std
+        ax.fill_between([0, end], low, high, color=style.SKY, alpha=0.16, linewidth=0)
+        handles.append(Patch(facecolor=style.SKY, alpha=0.3, label=f"mean ± std ({rounded(summary.std)})"))
+    lines: tuple[tuple[str, str, Any], ...] = (
+        ("mean", style.INK, "-"),
+        ("median", style.INK, (0, (4, 2))),
+        ("best", style.GREEN, (0, (1, 1.5))),
+        ("ensemble", style.VERMILLION, "-"),
+    )
+    for name, colour, dash in lines:
+        value = getattr(summary, name)
+        if np.isfinite(value):
+            ax.hlines(value, 0, end, color=colour, linestyle=dash, linewidth=1.3, zorder=2)
+            handles.append(Line2D([], [], color=colour, linestyle=dash, label=f"{name} {rounded(value, unit)}"))
+    if failed:
+        ax.axvspan(end, len(order) + 1, color=style.VERMILLION, alpha=0.10, linewidth=0)
+        places, top = np.arange(len(finished), len(order)) + 1, np.full(len(failed), 0.94)
+        ax.plot(
+            places,
+            top,
+            "x",
+            color=style.VERMILLION,
+            transform=ax.get_xaxis_transform(),
+            markersize=7,
+            markeredgewidth=1.8,
+        )
+        handles.append(Line2D([], [], color=style.VERMILLION, marker="x", linewidth=0, label=f"failed ({len(failed)})"))
+    if not len(usable):
+        ax.set_yticks([])
+        style.note(ax, "no member finished")
+    return handles
+
+
+def _draw_outputs(ax: Axes, metrics: Metrics) -> None:
+    names = [output["name"] for output in metrics["outputs"]]
+    tests = [member["test"]["nrmse"] for member in metrics["members"] if member.get("test")]
+    values = np.array(tests, float).reshape(len(tests), len(names))
+    style.quiet(ax, title="by output", x="output", y="test NRMSE (–)")
+    ax.grid(False, axis="x")
+    ax.set_xticks(
+        range(len(names)), [style.plain(name) for name in names], rotation=30, ha="right", rotation_mode="anchor"
+    )
+    ax.set_xlim(-0.6, len(names) - 0.4)
+    for k, column in enumerate(values.T):
+        column = column[np.isfinite(column)]
+        if len(column):
+            ax.plot(np.full(len(column), k), column, "o", color=style.BLUE, markersize=4, alpha=0.4, markeredgewidth=0)
+            ax.plot([k - 0.25, k + 0.25], [np.median(column)] * 2, color=style.INK, linewidth=1.6)
+    if not np.isfinite(values).any():
+        style.note(ax, "no member finished")

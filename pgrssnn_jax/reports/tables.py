@@ -1,0 +1,134 @@
+"""The tables of a run, for the terminal (rich) and for Markdown; planned, finished and failed members stand below."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from pgrssnn_jax.reports import content
+from pgrssnn_jax.reports.content import MISSING, MemberRow, Metrics, SummaryRow, rounded
+
+
+class Selection(NamedTuple):
+    """The members that a short table shows: failed ones, the best and the worst; and how many it leaves out."""
+
+    best: list[MemberRow]
+    worst: list[MemberRow]
+    failed: list[MemberRow]
+    left_out: int
+    left_out_failed: int
+
+
+SUMMARY_HEADER = ("n_init", "mean", "std", "median", "best", "ensemble", "NRMSE mean")
+MEMBER_HEADER = ("seed", "dataset", "status", "best epoch", "RMSE", "NRMSE", "fit %", "CC", "reason")
+
+
+def summary_title(metrics: Metrics) -> str:
+    return f"test {content.merit(metrics)}{_in_unit(metrics)}"
+
+
+def member_title(metrics: Metrics) -> str:
+    return f"members, best first; test {content.merit(metrics)}{_in_unit(metrics)}"
+
+
+def summary_cells(row: SummaryRow) -> list[str]:
+    figures = (row.mean, row.std, row.median, row.best, row.ensemble, row.nrmse)
+    return [str(row.n_init), *(rounded(value) for value in figures)]
+
+
+def member_cells(row: MemberRow) -> list[str]:
+    figures = (rounded(value) for value in (row.rmse, row.nrmse, row.fit_percent, row.cc))
+    epoch = MISSING if row.best_epoch is None else str(row.best_epoch)
+    return [str(row.seed), str(row.dataset), "failed" if row.failed else "ok", epoch, *figures, row.reason]
+
+
+def select(rows: Sequence[MemberRow], limit: int) -> Selection:
+    """At most `limit` members: failed ones get a third of the places, or what the finished ones leave."""
+    if limit < 1:
+        raise ValueError(f"member_table: limit: expected at least 1, found {limit}")
+    finished, failed = content.ranked(rows)
+    shown_failed = min(len(failed), max(limit // 3, limit - len(finished)))
+    places = min(len(finished), limit - shown_failed)
+    worst = places // 2 if places < len(finished) else 0
+    return Selection(
+        finished[: places - worst],
+        finished[len(finished) - worst :],
+        failed[:shown_failed],
+        len(rows) - places - shown_failed,
+        len(failed) - shown_failed,
+    )
+
+
+def summary_table(metrics: Metrics) -> Table:
+    """One row per n_init, RMSE over members and of the ensemble; the n_init of the run is bold."""
+    table = _table(
+        f"{content.heading(metrics)} · {summary_title(metrics)}", SUMMARY_HEADER, "\n".join(_footer(metrics))
+    )
+    for row in content.summary_rows(metrics):
+        table.add_row(*map(Text, summary_cells(row)), style="bold" if row.headline else "")
+    return table
+
+
+def member_table(metrics: Metrics, limit: int = 12) -> Table:
+    """One row per member; of more than `limit` members the best, the worst and failed ones, and how many are left out.
+
+    Reasons are numbered and spelled out below the table, with the number of members of each.
+    """
+    rows = content.member_rows(metrics)
+    shown = select(rows, limit)
+    left = ""
+    if shown.left_out:
+        left = f"{shown.left_out} of {len(rows)} members left out ({shown.left_out_failed} of them failed)\n"
+    reasons = Counter(row.reason for row in rows if row.reason)
+    number = {reason: str(k) for k, reason in enumerate(reasons, 1)}
+    spelled = "".join(
+        f"reason {number[reason]}: {reason} ({count} of {len(rows)})\n" for reason, count in reasons.items()
+    )
+    title = f"{content.heading(metrics)} · {member_title(metrics)}"
+    table = _table(title, MEMBER_HEADER, left + spelled + "\n".join(_footer(metrics)))
+    for group, style in ((shown.best, ""), (shown.worst, ""), (shown.failed, "red")):
+        for row in group:
+            table.add_row(*map(Text, member_cells(row)[:-1]), number.get(row.reason, MISSING), style=style)
+        table.add_section()
+    return table
+
+
+def markdown_summary(metrics: Metrics) -> str:
+    """The summary table as Markdown, with the counts of members and the source of the data below it."""
+    lines = [f"### {_one_line(content.heading(metrics))}: {summary_title(metrics)}", "", _pipes(SUMMARY_HEADER)]
+    lines.append("|" + "---:|" * len(SUMMARY_HEADER))
+    lines += [_pipes(summary_cells(row)) for row in content.summary_rows(metrics)]
+    lines += ["", *(f"- {_one_line(line)}" for line in _footer(metrics)), ""]
+    return "\n".join(lines)
+
+
+def _footer(metrics: Metrics) -> list[str]:
+    outputs = ", ".join(output["name"] for output in metrics["outputs"])
+    lines = [f"members: {content.counts(metrics)}", content.source(metrics)]
+    if len(metrics["outputs"]) > 1:
+        lines.append(f"figures are means over the outputs {outputs}")
+    return lines
+
+
+def _table(title: str, header: Sequence[str], footer: str) -> Table:
+    table = Table(title=Text(title, "bold"), caption=Text(footer), box=box.SIMPLE_HEAD, collapse_padding=True)
+    table.title_justify = table.caption_justify = "left"
+    for name in header:
+        table.add_column(Text(name), justify="left" if name == "status" else "right", no_wrap=True)
+    return table
+
+
+def _in_unit(metrics: Metrics) -> str:
+    unit = content.unit(metrics)
+    return f" in {unit}" if unit else ""
+
+
+def _pipes(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,56 @@
+"""Going on with an interrupted run: its saved configuration rules, and the command line may only agree or prolong."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+# how long to train and how members are mapped; everything else makes another run
+FLEXIBLE = (
+    "fit.epochs",
+    "fit.patience",
+    "fit.checkpoint_seconds",
+    "members.how",
+    "members.sub_batch",
+    "members.devices",
+)
+
+
+def resume_config(
+    asked: Mapping[str, Any], saved: Mapping[str, Any], given: Sequence[str], folder: Path
+) -> dict[str, Any]:
+    """The saved configuration with those settings of the command line that may change.
+
+    asked: the configuration that the command line composes to, missing values included; given: its overrides, of which
+    those of Hydra's own and `resume` do not matter. Raises `ValueError` when they describe another run than the saved
+    one.
+    """
+    names = [text.split("=")[0].lstrip("+~") for text in given]
+    names = [name for name in names if name != "resume" and not name.startswith("hydra.")]
+    before, now = _flat(saved), _flat(asked)
+    for key in sorted(now):
+        named = "experiment" in names or any(key == name or key.startswith(f"{name}.") for name in names)
+        if not named or key == "resume" or now[key] == before.get(key):
+            continue
+        if key not in FLEXIBLE:
+            raise ValueError(
+                f"resume: {key}: expected {before.get(key)!r} as in {folder.name}/config.yaml, found {now[key]!r}"
+            )
+        before[key] = now[key]
+    return {**_nested(before), "resume": str(folder)}
+
+
+def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+    if not isinstance(tree, Mapping):
+        return {prefix.rstrip("."): tree}
+    return {key: value for name, part in tree.items() for key, value in _flat(part, f"{prefix}{name}.").items()}
+
+
+def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for key, value in flat.items():
+        *path, last = key.split(".")
+        node = tree
+        for name in path:
+            node = node.setdefault(name, {})
+        node[last] = value
+    return tree

@@ -1,0 +1,63 @@
+"""Running the commands as a user does, and composing their configuration without running them."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from hydra import compose, initialize_config_dir
+from rich.console import Console
+
+from pgrssnn_jax.experiments import train_run
+from pgrssnn_jax.plan import Plan, plain, plan_training
+from pgrssnn_jax.runs import RunFolder
+
+ROOT = Path(__file__).parent.parent
+QUICK = ["n_seeds=2", "fit.epochs=2", "fit.validate_every=1", "fit.chunk_epochs=1", "model.hidden=3"]
+
+
+def composed(*overrides: str) -> dict:
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return plain(compose("train", overrides=list(overrides)))
+
+
+def planned(*overrides: str, notify=lambda line: None) -> Plan:
+    return plan_training(composed(*overrides), notify)
+
+
+def trained(folder: Path, *overrides: str) -> RunFolder:
+    run = RunFolder(folder)
+    with (folder.parent / f"{folder.name}.log").open("w") as log:
+        train_run(planned(*overrides), run, Console(file=log), command="python train.py", seconds={})
+    return run
+
+
+def environment(**changes: str) -> dict[str, str]:
+    """Without measured data and without a screen, whatever the machine has."""
+    kept = {k: v for k, v in os.environ.items() if k not in ("PGRSSNN_DATA", "JAX_COMPILATION_CACHE_DIR")}
+    return {**kept, "PYTHONUNBUFFERED": "1", "COLUMNS": "200", **changes}
+
+
+def start(*arguments: str, cwd: Path, script: str = "train.py", **changes: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, str(ROOT / script), *arguments],
+        cwd=cwd, env=environment(**changes), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def command(*arguments: str, cwd: Path, script: str = "train.py", **changes: str) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error."""
+    process = start(*arguments, cwd=cwd, script=script, **changes)
+    out, err = process.communicate(timeout=300)
+    return process.returncode, out, err
+
+
+def write_benchmark(path: Path, samples: int = 1024, seed: int = 0) -> Path:
+    """A file of the cascaded-tanks layout with made-up smooth levels."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(1, 4, (2, samples // 16 + 1)), 16, axis=1)[:, :samples]
+    y = np.array([np.convolve(3 * row, np.ones(30) / 30)[:samples] for row in u])
+    rows = [f"{u[0, t]},{u[1, t]},{y[0, t]},{y[1, t]},{4 if t == 0 else ''}," for t in range(samples)]
+    path.write_text('"uEst","uVal","yEst","yVal","Ts",\n' + "\n".join(rows) + "\n")
+    return path

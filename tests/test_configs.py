@@ -1,0 +1,99 @@
+"""Every configuration composes and trains for two epochs, and says where its numbers come from."""
+
+import json
+
+import numpy as np
+import pytest
+from commands import QUICK, ROOT, composed, planned, trained, write_benchmark
+
+MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
+PUBLISHED = {
+    f"{guide}{rest}" for guide in ("pg_", "") for rest in ("rssnn", "rssnn_fb", "rssnn_sgm", "fcssnn", "fcssnn_sgm")
+}
+
+
+def test_the_ten_published_variants_and_the_physics_are_there():
+    assert set(MODELS) == PUBLISHED | {"physics_only"}
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_model_trains_for_two_epochs(tmp_path, model):
+    path = write_benchmark(tmp_path / "tanks.csv", samples=80)
+    run = trained(
+        tmp_path / "run",
+        "+experiment=cascaded_tank",
+        f"data.path={path}",
+        "data.n_validation=20",
+        *QUICK,
+        f"model={model}",
+    )
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["model"] == model
+    assert metrics["summary"]["failed"] == 0
+    assert np.isfinite(metrics["summary"]["rmse_mean"])
+
+
+@pytest.mark.parametrize("physics", sorted(path.stem for path in (ROOT / "conf/physics").glob("lgssm*.yaml")))
+def test_every_lgssm_physics_trains_for_two_epochs(tmp_path, physics):
+    small = ["data.generated=true", "data.realisations=3", "data.n_train=130", "data.n_validation=50", "data.n_test=90"]
+    overrides = ["+experiment=lgssm", f"physics={physics}", *small, *QUICK, "n_seeds=1"]
+    run = trained(tmp_path / "run", *overrides)
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert [m["dataset"] for m in metrics["members"]] == [0, 1, 2]
+    assert metrics["source"] == "simulated"
+
+
+def test_seeds_and_realisations_train_in_one_program():
+    small = ["data.generated=true", "data.realisations=3", "data.n_train=130", "data.n_validation=50", "data.n_test=90"]
+    plan = planned("+experiment=lgssm", *small, "n_seeds=2")
+    assert [tuple(member) for member in plan.members] == [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2)]
+    assert plan.data.train.u.shape == (6, 2, 64, 1)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "conf").rglob("*.yaml")), ids=lambda path: path.stem)
+def test_every_file_opens_with_its_command_line(path):
+    first = next(line for line in path.read_text().splitlines() if line != "# @package _global_")
+    assert first.startswith("# python train.py")
+
+
+@pytest.mark.parametrize("group", ["physics", "data", "fit"])
+def test_every_number_has_its_unit_or_source(group):
+    for path in (ROOT / "conf" / group).glob("*.yaml"):
+        for line in path.read_text().splitlines():
+            key, _, rest = line.partition(":")
+            value = rest.split("#")[0].strip()
+            if not line.startswith("#") and value and (value[0].isdigit() or value[0] in "[-") and key != "defaults":
+                assert "#" in rest, f"{path.name}: {line}"
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(
+    ("overrides", "volts"),
+    [
+        (["initial_state=zero", "physics.clamp=false"], 1.042),
+        (["initial_state=first_output", "physics.clamp=false"], 0.763),
+        (["initial_state=zero", "physics.clamp=true"], 1.110),
+        (["initial_state=first_output", "physics.clamp=true"], 0.852),
+    ],
+)
+def test_the_published_tanks_figures_of_the_physics_alone(tmp_path, data, overrides, volts):
+    run = trained(tmp_path / "run", "+experiment=cascaded_tank", "model=physics_only", *overrides)
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert round(metrics["summary"]["rmse_mean"], 3) == volts
+    assert metrics["n_init"] == 0
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("scaling", "rmse"), [("true", 1.680), ("false", 1.449)])
+def test_the_published_lgssm_figure_of_the_physics_alone(tmp_path, data, scaling, rmse):
+    overrides = ["+experiment=lgssm", "model=physics_only", f"data.published_scaling={scaling}"]
+    run = trained(tmp_path / "run", *overrides)
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert round(metrics["summary"]["rmse_mean"], 3) == pytest.approx(rmse, abs=1.5e-3)
+
+
+def test_defaults_are_the_documented_ones():
+    config = composed("+experiment=cascaded_tank")
+    assert config["n_seeds"] == 10
+    assert config["fit"]["epochs"] == 1000
+    assert config["report_n_init"] == [0, 5, 50]
