@@ -3,6 +3,7 @@
 Imports the standard library alone, so that a missing package can be named instead of ending in a traceback.
 """
 
+import logging
 import os
 import sys
 from collections.abc import Callable
@@ -78,6 +79,8 @@ def run(prepare: Callable[[Any], Callable[[], None]], config: Any) -> None:
     """
     sys.path.insert(0, str(Path.cwd()))  # a user's own physics lives where the command is typed
     set_up_jax()
+    logging.getLogger().setLevel(logging.WARNING)  # JAX and orbax report every step through Hydra's handler
+    logging.getLogger("hydra").setLevel(logging.INFO)
     try:
         work = prepare(config)
     except ValueError as problem:

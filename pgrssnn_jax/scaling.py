@@ -7,15 +7,16 @@ output's scaling; a `rate_of` an output is scaled by the standard deviation of i
 a simulation of the physics over the training inputs. A constant channel keeps scale 1.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records import Array, Record, Splits, take
+from pgrssnn_jax.physics.base import Physics, Step
+from pgrssnn_jax.records import Array, Record, Splits
 
 
 class Affine(NamedTuple):
@@ -46,8 +47,8 @@ class Scaling(NamedTuple):
     y: Affine
 
 
-def _affine(offset: Array, scale: Array) -> Affine:
-    offset, scale = np.asarray(offset), np.asarray(scale)
+def _affine(offset: Any, scale: Any) -> Affine:
+    offset, scale = np.ma.filled(offset, 0.0), np.ma.filled(scale, 1.0)
     usable = np.isfinite(scale) & (scale > 1e-12 * np.maximum(1.0, np.abs(offset)))
     return Affine(np.where(np.isfinite(offset), offset, 0.0), np.where(usable, scale, 1.0))
 
@@ -62,7 +63,7 @@ def signal_scaling(train: Record) -> tuple[Affine, Affine]:
     y = np.ma.array(train.y, mask=~train.mask).reshape(-1, train.y.shape[-1])
     return (
         _affine(u.mean(0), u.std(0)),
-        _affine(np.ma.filled(y.mean(0), 0.0), np.ma.filled(y.std(0), 1.0)),
+        _affine(y.mean(0), y.std(0)),
     )
 
 
@@ -90,16 +91,21 @@ def fit_scaling(train: Record, physics: Physics | None) -> Scaling:
 
 def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "samples x"]:
     """States of the physics alone from zero, over all training sequences; non-finite values become zero."""
+    start = jnp.zeros(len(physics.states))
+    x = np.asarray(_free_run(physics.step, physics.params, start, jnp.asarray(train.u)), np.float64)
+    return np.nan_to_num(x.reshape(-1, x.shape[-1]), posinf=0.0, neginf=0.0)
 
+
+@partial(jax.jit, static_argnums=0)  # compiled once for all datasets of one physics
+def _free_run(step: Step, params: Any, start: jax.Array, u: Float[jax.Array, "seq time u"]) -> jax.Array:
     def simulate(u: jax.Array) -> jax.Array:
         def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, jax.Array]:
-            x = physics.step(physics.params, x, u_t)
+            x = step(params, x, u_t)
             return x, x
 
-        return jax.lax.scan(body, jnp.zeros(len(physics.states), u.dtype), u)[1]
+        return jax.lax.scan(body, start.astype(u.dtype), u)[1]
 
-    x = np.asarray(jax.jit(jax.vmap(simulate))(jnp.asarray(train.u)), np.float64)
-    return np.nan_to_num(x.reshape(-1, x.shape[-1]), posinf=0.0, neginf=0.0)
+    return jax.vmap(simulate)(u)
 
 
 class Units(NamedTuple):
@@ -121,13 +127,20 @@ def measured_units(splits: Splits) -> Units:
 
 
 def standardise(splits: Splits) -> tuple[Splits, Units]:
-    """All records of every dataset in units of its own training record: zero mean, unit standard deviation.
+    """All records of every dataset in the published code's standardised units: mean 0 over its training record, and
+    mean variance 1 within its training sequences.
 
-    splits: records `[dataset, seq, time, channel]`. Returns the scaled splits and the units that bring them back. This
-    is the published convention for the linear model, whose matrices then act on standardised signals.
+    splits: records `[dataset, seq, time, channel]`. Returns the scaled splits and the units that bring them back. In
+    the published figures the matrices of the linear model act on these signals. (With windows of 64 samples the
+    deviation within a window is 4 % below that of the record; only the former gives the published 1.68.)
     """
-    fitted = [signal_scaling(take(splits.train, i)) for i in range(len(splits.train.u))]
-    units = Units(*(Affine(*map(np.stack, zip(*pair, strict=True))) for pair in zip(*fitted, strict=True)))
+    units = measured_units(splits)
+    train = splits.train
+    for i in range(len(train.u)):
+        for affine, signal, mask in ((units.u, train.u, None), (units.y, train.y, train.mask)):
+            values = np.ma.array(signal[i], mask=None if mask is None else ~np.asarray(mask[i]))
+            within = _affine(values.mean((0, 1)), np.ma.sqrt(values.var(1).mean(0)))
+            affine.offset[i], affine.scale[i] = within
 
     def scaled(affine: Affine, signal: Array) -> np.ndarray:
         offset, scale = (np.asarray(a)[:, None, None, :] for a in affine)

@@ -84,12 +84,15 @@ def test_the_published_tanks_figures_of_the_physics_alone(tmp_path, data, overri
 
 
 @pytest.mark.data
-@pytest.mark.parametrize(("scaling", "rmse"), [("true", 1.680), ("false", 1.449)])
-def test_the_published_lgssm_figure_of_the_physics_alone(tmp_path, data, scaling, rmse):
-    overrides = ["+experiment=lgssm", "model=physics_only", f"data.published_scaling={scaling}"]
-    run = trained(tmp_path / "run", *overrides)
+@pytest.mark.parametrize(("physics", "scaling", "rmse"), [
+    ("lgssm", "true", "1.680"), ("lgssm", "false", "1.449"), ("lgssm_true", "false", "1.361"),
+])  # fmt: skip
+def test_the_published_lgssm_figures_of_the_physics_alone(tmp_path, data, physics, scaling, rmse):
+    """1.680 on the first realisation; the standardisation, and so the figure, differs between realisations."""
+    overrides = ["+experiment=lgssm", "model=physics_only", f"physics={physics}", f"data.published_scaling={scaling}"]
+    run = trained(tmp_path / "run", *overrides, "data.realisations=1")
     metrics = json.loads((run.path / "metrics.json").read_text())
-    assert round(metrics["summary"]["rmse_mean"], 3) == pytest.approx(rmse, abs=1.5e-3)
+    assert f"{metrics['summary']['rmse_mean']:.3f}" == rmse
 
 
 def test_defaults_are_the_documented_ones():

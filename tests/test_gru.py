@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from flax import nnx
 from jax.test_util import check_grads
+from toys import quick_jit
 
 from pgrssnn_jax.gru import GRU, delayed, gru_scan, gru_step
 
@@ -39,7 +40,7 @@ def compare_with_torch(arrays, dtype, rtol, rtol_gradient):
     out = jax.jit(run)(layers, u)
     assert out.dtype == dtype
     np.testing.assert_allclose(out, arrays["out"], rtol=rtol, atol=rtol)
-    to_layers, to_input = jax.jit(jax.grad(lambda w, u: jnp.sum(run(w, u) ** 2), (0, 1)))(layers, u)
+    to_layers, to_input = quick_jit(jax.grad(lambda w, u: jnp.sum(run(w, u) ** 2), (0, 1)))(layers, u)
     np.testing.assert_allclose(to_input, arrays["grad_input"], rtol=rtol_gradient, atol=rtol_gradient)
     for layer, gradient in enumerate(to_layers):
         for ours, theirs in TORCH.items():
@@ -138,7 +139,7 @@ def test_derivative_rule_equals_plain_reverse_mode(bias):
 
     def gradient(scan):
         wanted = (0, 1, 2) if bias else (0, 2)
-        return jax.jit(jax.grad(lambda *args: jnp.vdot(weight, scan(*args)), wanted))(kernel, b, projected)
+        return quick_jit(jax.grad(lambda *args: jnp.vdot(weight, scan(*args)), wanted))(kernel, b, projected)
 
     for found, expected in zip(gradient(gru_scan), gradient(plain_scan), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
@@ -160,15 +161,15 @@ def test_derivative_rule_under_vmap_is_that_of_each_member():
     members = [problem(seed, bias=True) for seed in range(3)]
     together = jax.tree.map(lambda *a: jnp.stack(a), *members)
     gradient = jax.grad(lambda args: jnp.sum(gru_scan(*args) ** 2))
-    single = jax.jit(gradient)
-    for i, found in enumerate(zip(*jax.jit(jax.vmap(gradient))(together), strict=True)):
+    single = quick_jit(gradient)
+    for i, found in enumerate(zip(*quick_jit(jax.vmap(gradient))(together), strict=True)):
         for a, b in zip(found, single(members[i]), strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
 
 
 def test_a_saturated_gate_has_finite_gradients():
     kernel, b, projected = problem(bias=True)
-    gradient = jax.jit(jax.grad(lambda *args: jnp.sum(gru_scan(*args)), (0, 1, 2)))(kernel, b, 1e4 * projected)
+    gradient = quick_jit(jax.grad(lambda *args: jnp.sum(gru_scan(*args)), (0, 1, 2)))(kernel, b, 1e4 * projected)
     assert all(np.isfinite(g).all() for g in gradient)
 
 

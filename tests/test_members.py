@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from toys import spec, toy_model, toy_params, toy_signals
+from toys import quick_jit, spec, toy_model, toy_params, toy_signals
 
 from pgrssnn_jax.members import Mapping, choose_mapping, map_members, repeat, select
 from pgrssnn_jax.rollout import rollout
@@ -26,12 +26,12 @@ def trees(count):
     return {"a": jnp.asarray(a), "b": jnp.asarray(b)}, jnp.asarray(s)
 
 
-@pytest.mark.parametrize("count", [1, 4, 5])
+@pytest.mark.parametrize("count", [1, 5])
 @pytest.mark.parametrize("mapping", MAPPINGS, ids=str)
 def test_every_mapping_gives_each_member_its_own_result(mapping, count):
     args = trees(count)
     expected = [one(*select(args, i)) for i in range(count)]
-    found = jax.jit(map_members(one, mapping))(*args)
+    found = quick_jit(map_members(one, mapping))(*args)
     assert jax.tree.structure(found) == jax.tree.structure(expected[0])
     for i in range(count):
         for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected[i]), strict=True):
@@ -50,10 +50,10 @@ def test_rollouts_and_gradients_of_members_are_those_of_each(key):
 
     step = jax.value_and_grad(loss)
     inputs = jnp.stack([u, 2 * u, -u])
-    single = jax.jit(step)
+    single = quick_jit(step)
     expected = [single(params, inputs[i]) for i, params in enumerate(members)]
     for mapping in (Mapping("loop"), Mapping("vmap", None, 2)):
-        found = jax.jit(map_members(step, mapping))(together, inputs)
+        found = quick_jit(map_members(step, mapping))(together, inputs)
         for i in range(3):
             for a, b in zip(jax.tree.leaves(select(found, i)), jax.tree.leaves(expected[i]), strict=True):
                 np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4 * max(1.0, np.abs(b).max()), err_msg=str(mapping))

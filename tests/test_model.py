@@ -3,7 +3,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from flax import nnx
-from toys import GUIDED, PUBLISHED, TOY_SCALING, small_record, spec, toy_model, toy_params, toy_physics, toy_signals
+from toys import (
+    GUIDED,
+    PUBLISHED,
+    TOY_SCALING,
+    quick_jit,
+    small_record,
+    spec,
+    toy_model,
+    toy_params,
+    toy_physics,
+    toy_signals,
+)
 
 from pgrssnn_jax.model import ModelParams, build_model, first_output_state, model_scaling
 from pgrssnn_jax.networks import ModelSpec
@@ -66,7 +77,7 @@ def test_start_from_physics_still_learns(key):
     model = toy_model(spec("PG-RSSNN", start_from_physics=True))
     u, x0 = toy_signals()
     params = toy_params(model, key)
-    gradient = jax.jit(jax.grad(lambda w: jnp.sum(rollout(model, params._replace(network=w), u, x0).y ** 2)))
+    gradient = quick_jit(jax.grad(lambda w: jnp.sum(rollout(model, params._replace(network=w), u, x0).y ** 2)))
     slope = nnx.to_pure_dict(gradient(params.network))
     assert all(np.asarray(slope[head]["second"]["bias"]).any() for head in ("head_x", "head_y"))
 
@@ -81,7 +92,7 @@ def test_one_key_is_one_set_of_weights(key):
 
 def test_init_is_the_same_compiled_and_over_members(key):
     model, keys = toy_model(spec("FCSSNN")), jax.random.split(key, 2)
-    together = jax.jit(jax.vmap(model.init))(keys)
+    together = quick_jit(jax.vmap(model.init))(keys)
     for i in range(2):
         for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(model.init(keys[i])), strict=True):
             np.testing.assert_allclose(a[i], b, rtol=1e-6, atol=1e-7)

@@ -9,6 +9,7 @@ from toys import (
     PUBLISHED,
     TOY_PARAMS,
     WITHOUT_FEEDBACK,
+    quick_jit,
     spec,
     toy_measure,
     toy_model,
@@ -84,7 +85,7 @@ def expected_of(name, params, u, x0, reads="after_step"):
 
 
 def compiled(model, route=None):
-    return jax.jit(lambda params, u, x0: rollout(model, params, u, x0, route=route))
+    return quick_jit(lambda params, u, x0: rollout(model, params, u, x0, route=route))
 
 
 def routes(name):
@@ -149,7 +150,7 @@ def test_gradients_of_the_routes_agree(key, name):
         def loss(*args):
             return jnp.sum((rollout(model, *args, route=route).y - target) ** 2)
 
-        return jax.tree.leaves(jax.jit(jax.grad(loss, (0, 1, 2)))(params, u, x0))
+        return jax.tree.leaves(quick_jit(jax.grad(loss, (0, 1, 2)))(params, u, x0))
 
     for a, b in zip(slopes("fused"), slopes("split"), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
@@ -190,7 +191,7 @@ def test_gradients_have_the_precision_of_the_weights(key, route):
     def loss(weights):
         return rollout(model, params._replace(network=weights), u, x0, route=route).y.sum()
 
-    slopes = jax.jit(jax.grad(loss))(model.init(key))
+    slopes = quick_jit(jax.grad(loss))(model.init(key))
     assert {a.dtype for a in jax.tree.leaves(slopes)} == {jnp.dtype(jnp.float32)}
 
 
@@ -379,7 +380,7 @@ def test_gradients_are_finite_and_reach_every_part(key, name):
     """Also where every input and state is zero, the kinks of relu included."""
     model = toy_model(spec(name))
     params, (u, x0) = toy_params(model, key), toy_signals(2, 5)
-    gradient = jax.jit(jax.grad(lambda params, u, x0: jnp.sum(rollout(model, params, u, x0).y ** 2), (0, 2)))
+    gradient = quick_jit(jax.grad(lambda params, u, x0: jnp.sum(rollout(model, params, u, x0).y ** 2), (0, 2)))
     for signals in ((u, x0), (jnp.zeros_like(u), jnp.zeros_like(x0))):
         slopes = gradient(params, *signals)
         assert all(np.isfinite(a).all() for a in jax.tree.leaves(slopes))
@@ -401,6 +402,5 @@ def test_gradient_to_the_physics_equals_finite_differences(key, name):
         physics = {**params.physics, "gain": gain}
         return jnp.sum(rollout(model, params._replace(physics=physics), u, x0).y ** 2)
 
-    loss = jax.jit(loss)
-    slope, h = jax.grad(loss)(0.3), 1e-6
-    np.testing.assert_allclose(slope, (loss(0.3 + h) - loss(0.3 - h)) / (2 * h), rtol=1e-6)
+    slope, value, h = quick_jit(jax.grad(loss))(0.3), quick_jit(loss), 1e-6
+    np.testing.assert_allclose(slope, (value(0.3 + h) - value(0.3 - h)) / (2 * h), rtol=1e-6)

@@ -1,5 +1,6 @@
 """Small systems and models that several tests share, beside their equations in plain NumPy."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -34,6 +35,9 @@ def spec(name: str, **more: Any) -> ModelSpec:
     """A published variant, small."""
     return ModelSpec(**{"hidden": 4, **PUBLISHED[name], **more})
 
+
+#: compiles in two thirds of the time; for tests of values that no optimisation should change
+quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
 
 # --- a system in which every channel count differs and every argument matters -----------------------------------------
 

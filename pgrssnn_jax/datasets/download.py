@@ -49,7 +49,7 @@ def download_tanks(patience: float) -> tuple[Float[np.ndarray, "time 4"], float]
 
 def _last_line(text: bytes) -> str:
     lines = text.decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
-    return lines[-1][:_LONGEST]
+    return lines[-1].removeprefix("ValueError: ").partition(" with urls")[0][:_LONGEST]
 
 
 def _fetch(file: str) -> None:
@@ -61,7 +61,7 @@ def _fetch(file: str) -> None:
         train, test = load(atleast_2d=True)
     except Exception as error:
         if "unable to download" in str(error):
-            raise ConnectionError("unable to download") from None
+            raise
         # A cached file that cannot be read: an interrupted download looks like that. Fetch it anew, once.
         train, test = load(atleast_2d=True, force_download=True)
     columns = np.concatenate([train.u, test.u, train.y, test.y], axis=1)

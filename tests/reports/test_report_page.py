@@ -146,7 +146,6 @@ def test_reproducing_names_the_commit_and_the_configuration(tmp_path):
         write(tmp_path, tanks(members=1, samples=60), environment={**ENVIRONMENT, "command": "train.py a=1"})
     ).text
     assert "git checkout 0123abcd" in text
-    assert "--config-name=config" in text
     assert "train.py a=1" in text
     assert CONFIG.strip() in text
     assert '"jax": "0.10.2"' in text
