@@ -87,8 +87,8 @@ def run(prepare: Callable[[Any], Callable[[], None]], config: Any) -> None:
         sys.exit(_say(str(problem)))
     try:
         work()
-    except Interrupted as stopped:
-        _say(str(stopped))
+    except (Interrupted, KeyboardInterrupt) as stopped:
+        _say(str(stopped) or "stopped; what was saved last can be resumed")
         sys.exit(INTERRUPTED)
 
 

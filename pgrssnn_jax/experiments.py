@@ -44,25 +44,38 @@ def prepare_training(config: DictConfig) -> Callable[[], None]:
         else:
             settings = plain(config)
         plan = plan_training(settings, notify=console.print)
+        first = first_checkpoint(plan, folder)
     finally:
         discard_if_empty(Path(hydra.runtime.output_dir))
     command = " ".join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
     loading = time.perf_counter() - started
-    return partial(train_run, plan, RunFolder(folder), console, command=command, seconds={"load": loading})
+    return partial(train_run, plan, first, RunFolder(folder), console, command=command, seconds={"load": loading})
 
 
-def train_run(plan: Plan, run: RunFolder, console: Console, *, command: str, seconds: dict[str, float]) -> None:
-    """Trains, evaluates, reports. Raises `Interrupted` when stopped, after a checkpoint has been written."""
-    resuming = bool(plan.config["resume"])
-    console.print(_headline(plan), soft_wrap=True)
+def first_checkpoint(plan: Plan, folder: Path) -> Checkpoint:
+    """Where training starts: freshly drawn members, or those of the run in `folder` that is resumed."""
     begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
     first = Checkpoint(begun, plan.data.scaling, plan.units, no_losses(len(plan.members)))
+    if not plan.config["resume"]:
+        return first
+    checkpoints = CheckpointFolder(RunFolder(folder).checkpoint)
+    try:
+        return checkpoints.restore(first)
+    finally:
+        checkpoints.close()
+
+
+def train_run(
+    plan: Plan, first: Checkpoint, run: RunFolder, console: Console, *, command: str, seconds: dict[str, float]
+) -> None:
+    """Trains, evaluates, reports. Raises `Interrupted` when stopped, after a checkpoint has been written."""
+    console.print(_headline(plan), soft_wrap=True)
+    config_text = OmegaConf.to_yaml(OmegaConf.create({**plan.config, "resume": None}))
+    run.begin(config_text, command=None if plan.config["resume"] else command)
     checkpoints = CheckpointFolder(run.checkpoint)
-    if resuming:
-        first = checkpoints.restore(first)
-    else:
-        run.begin(OmegaConf.to_yaml(OmegaConf.create({**plan.config, "resume": None})), command=command)
+    if not plan.config["resume"]:
         checkpoints.clear()
+        checkpoints.save(first)  # from here on the run can be resumed, whatever ends it
     trained = _train(plan, first, checkpoints, console)
     checkpoints.save(first._replace(state=trained.state, losses=trained.losses))
     checkpoints.close()

@@ -78,8 +78,8 @@ def _backward(residuals: tuple, cotangent: jax.Array) -> tuple[jax.Array, jax.Ar
     d = jax.lax.scan(body, jnp.zeros_like(cotangent[0]), (cotangent, slopes, z), reverse=True)[1]
     d_recurrent = slopes * jnp.concatenate([d, d, d], -1)
     d_kernel = jnp.einsum("tsh,tsg->hg", before, d_recurrent)
-    d_bias = None if bias is None else d_recurrent.sum((0, 1))
-    return d_kernel, d_bias, jnp.concatenate([to_r * d, to_z * d, to_n * d], -1)
+    d_bias = None if bias is None else d_recurrent.sum((0, 1)).astype(bias.dtype)
+    return d_kernel.astype(kernel.dtype), d_bias, jnp.concatenate([to_r * d, to_z * d, to_n * d], -1)
 
 
 gru_scan.defvjp(_forward, _backward)

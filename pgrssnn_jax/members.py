@@ -40,6 +40,8 @@ def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]
     """
     if not 1 <= mapping.devices <= jax.device_count():
         raise ValueError(f"members: devices: expected 1 to {jax.device_count()}, found {mapping.devices}")
+    if mapping.how not in ("vmap", "loop"):
+        raise ValueError(f"members: how: expected vmap or loop, found {mapping.how!r}")
     if mapping.sub_batch is not None and mapping.sub_batch < 1:
         raise ValueError(f"members: sub_batch: expected at least 1, found {mapping.sub_batch}")
 
@@ -88,7 +90,7 @@ def select(tree: Any, member: int) -> Any:
 
 
 def choose_mapping(n_members: int, n_sequences: int, devices: int) -> Mapping:
-    """The mapping that `benchmarks/rollout.py` finds fastest on CPUs: one after another when each member already has
+    """The mapping that `benchmarks/rollout.py` finds fastest: on CPUs one after another when each member already has
     a batch of sequences to multiply with (LGSSM: 31), all at once when each has a single long one (tanks)."""
-    how = "loop" if n_sequences >= 8 else "vmap"
+    how = "loop" if n_sequences >= 8 and jax.default_backend() == "cpu" else "vmap"
     return Mapping(how, None, min(devices, n_members))

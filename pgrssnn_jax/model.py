@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from flax import nnx
 
-from pgrssnn_jax.networks import ModelSpec, Networks
+from pgrssnn_jax.networks import ACTIVATIONS, ModelSpec, Networks
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records import Record
 from pgrssnn_jax.scaling import Scaling, fit_scaling, identity
@@ -53,6 +53,8 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
     """
     if not (spec.guided or spec.networks):
         raise ValueError("model: guided and networks: expected at least one of them to be true, found both false")
+    if spec.activation not in ACTIVATIONS:
+        raise ValueError(f"model: activation: expected one of {sorted(ACTIVATIONS)}, found {spec.activation!r}")
     if spec.hidden < 1 or spec.gru_layers < 1:
         raise ValueError(
             f"model: hidden and gru_layers: expected at least 1, found {spec.hidden} and {spec.gru_layers}"

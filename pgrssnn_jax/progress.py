@@ -37,7 +37,8 @@ def training_bar(console: Console, epochs: int, start: int = 0) -> Iterator[Call
                 printed = tenth
                 console.print(
                     f"epoch {now.epoch}/{now.epochs}  loss {now.train_loss:.4f}  best validation "
-                    f"{now.best_validation:.4f}  members {now.training}/{now.planned} training, {now.failed} failed"
+                    f"{now.best_validation:.4f}  members {now.training}/{now.planned} training, {now.failed} failed",
+                    soft_wrap=True,
                 )
 
         yield show

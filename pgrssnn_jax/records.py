@@ -77,7 +77,12 @@ def record(u: Array, y: Array, info: RecordInfo, mask: Array | None = None) -> R
     expected = (len(info.inputs), len(info.outputs))
     if (u.shape[2], y.shape[2]) != expected:
         raise ValueError(f"record: channels: expected {expected} (inputs, outputs), found {(u.shape[2], y.shape[2])}")
-    mask = np.ones(y.shape, bool) if mask is None else np.broadcast_to(mask, y.shape)
+    u, y = (a if np.issubdtype(a.dtype, np.floating) else a.astype(np.float64) for a in (u, y))
+    mask = np.ones((), bool) if mask is None else np.asarray(mask, bool)
+    try:
+        mask = np.broadcast_to(mask, y.shape)
+    except ValueError:
+        raise ValueError(f"record: mask: expected the shape of y, {y.shape}, found {mask.shape}") from None
     if not (np.isfinite(u).all() and np.isfinite(y[mask]).all()):
         raise ValueError("record: u and y: expected finite numbers wherever the mask is True, found NaN or infinity")
     return Record(u, np.where(mask, y, 0.0), mask, info)

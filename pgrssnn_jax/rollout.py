@@ -39,12 +39,16 @@ def rollout(
 ) -> Trajectory:
     """Predicts every sequence of one member. u and x0 in physical units; the GRU starts at zero.
 
-    route None takes `split` wherever it is possible. A state that leaves the floating-point range does not raise; it
-    is reported in `first_bad`. Raises `ValueError` if `split` is asked of a model with feedback.
+    The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
+    leaves the floating-point range does not raise; it is reported in `first_bad`. Raises `ValueError` for an unknown
+    route, and if `split` is asked of a model with feedback.
     """
+    if route not in (None, "fused", "split"):
+        raise ValueError(f"rollout: route: expected 'fused', 'split' or None, found {route!r}")
     if route == "split" and model.spec.feedback:
         raise ValueError("rollout: route: expected 'fused' for a model with state feedback, found 'split'")
     networks = model.networks(params)
+    params = params._replace(physics=jax.tree.map(lambda p: jnp.asarray(p, x0.dtype), params.physics))
     u_time, x0 = jnp.swapaxes(jnp.asarray(u), 0, 1), jnp.asarray(x0)
     fused = route == "fused" or model.spec.feedback
     x_time = (_fused if fused else _split)(model, params, networks, u_time, x0)

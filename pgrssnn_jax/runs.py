@@ -43,11 +43,15 @@ class RunFolder:
     def finished(self) -> bool:
         return (self.path / "DONE").exists()
 
-    def begin(self, config_text: str, *, command: str) -> None:
-        """Writes what is known before training. An earlier `DONE` goes first: from here on the run is unfinished."""
+    def begin(self, config_text: str, *, command: str | None) -> None:
+        """Writes what is known before training; command None: a resumed run, whose first command stays on record.
+
+        An earlier `DONE` goes first: from here on the run is unfinished.
+        """
         (self.path / "DONE").unlink(missing_ok=True)
         self.write_text("config.yaml", config_text)
-        self.write_json("environment.json", {**environment(), "command": command})
+        if command is not None:
+            self.write_json("environment.json", {**environment(), "command": command})
 
     def write_text(self, name: str, text: str) -> None:
         self._replace(name, lambda path: path.write_text(text, encoding="utf-8"))

@@ -59,8 +59,8 @@ def identity(channels: int) -> Affine:
 
 def signal_scaling(train: Record) -> tuple[Affine, Affine]:
     """Scalings of u and y from one training record `[seq, time, channel]`; masked samples do not count."""
-    u = train.u.reshape(-1, train.u.shape[-1])
-    y = np.ma.array(train.y, mask=~train.mask).reshape(-1, train.y.shape[-1])
+    u = np.asarray(train.u, np.float64).reshape(-1, train.u.shape[-1])
+    y = np.ma.array(np.asarray(train.y, np.float64), mask=~np.asarray(train.mask)).reshape(-1, train.y.shape[-1])
     return (
         _affine(u.mean(0), u.std(0)),
         _affine(y.mean(0), y.std(0)),
@@ -85,7 +85,9 @@ def fit_scaling(train: Record, physics: Physics | None) -> Scaling:
             j = outputs.index(state.like)
             offset[i], scale[i] = y.offset[j], y.scale[j]
         elif state.rate_of is not None:
-            offset[i], scale[i] = 0.0, np.nanstd(rates[..., outputs.index(state.rate_of)])
+            rate = rates[..., outputs.index(state.rate_of)]
+            rate = rate[np.isfinite(rate)]
+            offset[i], scale[i] = 0.0, rate.std() if rate.size else 1.0
     return Scaling(u, _affine(offset, scale), y)
 
 
@@ -98,6 +100,8 @@ def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "sam
 
 @partial(jax.jit, static_argnums=0)  # compiled once for all datasets of one physics
 def _free_run(step: Step, params: Any, start: jax.Array, u: Float[jax.Array, "seq time u"]) -> jax.Array:
+    params = jax.tree.map(lambda p: jnp.asarray(p, u.dtype), params)
+
     def simulate(u: jax.Array) -> jax.Array:
         def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, jax.Array]:
             x = step(params, x, u_t)
@@ -137,8 +141,9 @@ def standardise(splits: Splits) -> tuple[Splits, Units]:
     units = measured_units(splits)
     train = splits.train
     for i in range(len(train.u)):
-        for affine, signal, mask in ((units.u, train.u, None), (units.y, train.y, train.mask)):
-            values = np.ma.array(signal[i], mask=None if mask is None else ~np.asarray(mask[i]))
+        everywhere = np.ones(train.u.shape, bool)
+        for affine, signal, mask in ((units.u, train.u, everywhere), (units.y, train.y, train.mask)):
+            values = np.ma.array(np.asarray(signal[i], np.float64), mask=~np.asarray(mask[i]))
             within = _affine(values.mean((0, 1)), np.ma.sqrt(values.var(1).mean(0)))
             affine.offset[i], affine.scale[i] = within
 

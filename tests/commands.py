@@ -9,7 +9,7 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from rich.console import Console
 
-from pgrssnn_jax.experiments import train_run
+from pgrssnn_jax.experiments import first_checkpoint, train_run
 from pgrssnn_jax.plan import Plan, plain, plan_training
 from pgrssnn_jax.runs import RunFolder
 
@@ -29,13 +29,15 @@ def planned(*overrides: str, notify=lambda line: None) -> Plan:
 def trained(folder: Path, *overrides: str) -> RunFolder:
     run = RunFolder(folder)
     with (folder.parent / f"{folder.name}.log").open("w") as log:
-        train_run(planned(*overrides), run, Console(file=log), command="python train.py", seconds={})
+        plan = planned(*overrides)
+        first = first_checkpoint(plan, folder)
+        train_run(plan, first, run, Console(file=log), command="python train.py", seconds={})
     return run
 
 
 def environment(**changes: str) -> dict[str, str]:
     """Without measured data and without a screen, whatever the machine has."""
-    kept = {k: v for k, v in os.environ.items() if k not in ("PGRSSNN_DATA", "JAX_COMPILATION_CACHE_DIR")}
+    kept = {name: value for name, value in os.environ.items() if name != "PGRSSNN_DATA"}
     return {**kept, "PYTHONUNBUFFERED": "1", "COLUMNS": "200", **changes}
 
 

@@ -69,7 +69,7 @@ def test_the_latest_epoch_is_restored_and_an_old_run_can_be_cleared(tmp_path, op
         folder.save(saved(state, data, losses))
     assert folder.restore(saved(state, data, no_losses(3))).losses.epochs == 3
     folder.clear()
-    with pytest.raises(ValueError, match="expected a checkpoint, found none"):
+    with pytest.raises(ValueError, match="checkpoint: expected one in .*, found none"):
         folder.restore(saved(state, data, no_losses(3)))
 
 

@@ -175,12 +175,7 @@ def test_single_precision_weights_take_double_precision_signals(key, name):
     "route",
     [
         "fused",
-        pytest.param(
-            "split",
-            marks=pytest.mark.xfail(
-                strict=True, reason="gru_scan: the gradient of a float32 kernel comes back in the signals' float64"
-            ),
-        ),
+        "split",
     ],
 )
 def test_gradients_have_the_precision_of_the_weights(key, route):

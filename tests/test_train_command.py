@@ -3,6 +3,7 @@
 import json
 import shutil
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ import pandas as pd
 import pytest
 from commands import QUICK, command, composed, planned, start, trained, write_benchmark
 
+from pgrssnn_jax.finished import load_run
 from pgrssnn_jax.resume import resume_config
+from pgrssnn_jax.runs import read_config
 
 FILES = {
     "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "checkpoint", "figures",
@@ -170,6 +173,42 @@ def test_resume_refuses_another_run_and_takes_more_epochs(tmp_path, benchmark):
     assert resume_config(other, saved, ["seed=0"], tmp_path)["model"]["hidden"] == 3
     with pytest.raises(ValueError, match=r"resume: model.hidden: expected 3 as in .*config.yaml, found 8"):
         resume_config(other, saved, ["model.hidden=8"], tmp_path)
+
+
+def test_a_killed_run_resumes_from_its_first_checkpoint(tmp_path, benchmark):
+    """SIGKILL before anything was trained: the run is there, unfinished, and resumes to its end."""
+    arguments = ["+experiment=cascaded_tank", f"data.path={benchmark}", "data.n_validation=40", "n_seeds=2"]
+    process = start(*arguments, "fit.epochs=40", "hydra.run.dir=killed", cwd=tmp_path)
+    while not (tmp_path / "killed/checkpoint/0").exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert not (tmp_path / "killed/DONE").exists()
+    code, _, err = command("resume=killed", "fit.epochs=60", cwd=tmp_path)
+    assert code == 0, err
+    assert pd.read_csv(tmp_path / "killed/history.csv")["epoch"].max() == 60
+    assert read_config(tmp_path / "killed")["fit"]["epochs"] == 60
+    assert json.loads((tmp_path / "killed/environment.json").read_text())["command"].endswith("fit.epochs=40")
+
+
+def test_a_run_folder_without_a_checkpoint_is_named(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark))
+    shutil.rmtree(run.checkpoint)
+    code, _, err = command("resume=run", cwd=tmp_path)
+    assert code == 2
+    assert "checkpoint: expected one in" in err
+    assert run.finished
+
+
+def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark, "data.published_scaling=true", "initial_state=zero"))
+    with np.load(run.path / "predictions.npz") as arrays:
+        u, y_hat = arrays["u"][0], arrays["y_hat"][:, 0]
+    benchmark.unlink()
+    again = load_run(run.path).simulate(u, np.zeros(2))
+    np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
+    with pytest.raises(ValueError, match="expected a run folder"):
+        load_run(tmp_path)
 
 
 def test_a_second_run_in_the_same_folder_replaces_the_first(tmp_path, benchmark):

@@ -92,6 +92,11 @@ def discrete(
         raise ValueError(
             f"physics {name!r}: parameters: expected the tree of params, {jax.tree.structure(params)}, found {found}"
         )
+    for leaf in jax.tree.leaves(meanings, is_leaf=is_parameter):
+        if not is_parameter(leaf):
+            raise ValueError(f"physics {name!r}: parameters: expected a Parameter per number, found {leaf!r}")
+    if reads not in ("after_step", "before_step"):
+        raise ValueError(f"physics {name!r}: reads: expected after_step or before_step, found {reads!r}")
     known = {signal.name for signal in outputs}
     for state in states:
         for other in (state.like, state.rate_of):

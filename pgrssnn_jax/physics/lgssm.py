@@ -26,9 +26,9 @@ def measure(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Flo
 
 def linear(
     *,
-    A: Sequence[Sequence[float]],  # noqa: N803 - the field's symbols
-    B: Sequence[Sequence[float]],  # noqa: N803
-    C: Sequence[Sequence[float]],  # noqa: N803
+    A: Sequence[Sequence[float]] | np.ndarray,  # noqa: N803 - the field's symbols
+    B: Sequence[Sequence[float]] | np.ndarray,  # noqa: N803
+    C: Sequence[Sequence[float]] | np.ndarray,  # noqa: N803
     dt: float = 1.0,
     inputs: Sequence[str] = ("u",),
     outputs: Sequence[str] = ("y",),

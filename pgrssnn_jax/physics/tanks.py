@@ -5,7 +5,7 @@
     y      =  x2
 
 x1, x2: levels of the upper and the lower tank, V (the sensor's volts); u: pump voltage, V; one sample is 4 s.
-An empty tank lets nothing out: √x is 0, with gradient 0, for x ≤ 0.
+An empty tank lets nothing out: for x ≤ 0 all terms of its level are 0, with gradient 0 at √x.
 Source: Schoukens and Noël, Cascaded Tanks benchmark combining soft and hard nonlinearities, 2016.
 """
 
@@ -34,8 +34,9 @@ def safe_sqrt(x: jax.Array) -> jax.Array:
 
 def derivative(p: Any, x: Float[jax.Array, "2"], u: Float[jax.Array, "1"]) -> Float[jax.Array, "2"]:
     """dx/dt in V/s."""
-    upper_to_lower = p["k1"] * safe_sqrt(x[0]) - p["k2"] * x[0]
-    outlet = p["k4"] * safe_sqrt(x[1]) - p["k5"] * x[1]
+    level = jnp.maximum(x, 0.0)
+    upper_to_lower = p["k1"] * safe_sqrt(x[0]) - p["k2"] * level[0]
+    outlet = p["k4"] * safe_sqrt(x[1]) - p["k5"] * level[1]
     return jnp.stack([p["k3"] * u[0] - upper_to_lower, upper_to_lower - outlet])
 
 
@@ -82,8 +83,8 @@ def cascaded_tanks(
 def clamped(physics: Physics) -> Physics:
     """The same tanks with both levels limited to 0 .. 10 V after each step.
 
-    The authors' code limits x1 from above and x2 on both sides. The lower limit of x1 is ours: the physics alone never
-    reaches it, but a network that pushes an empty upper tank below zero would get no gradient to come back.
+    The authors' code limits x1 from above and x2 on both sides. The lower limit of x1 is ours: a network that pushes
+    an empty upper tank below zero would get no gradient to come back; on the benchmark the physics alone is unchanged.
     """
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
