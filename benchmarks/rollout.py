@@ -164,7 +164,7 @@ def medians(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, floa
 
 
 def show(figures: dict[str, Any]) -> None:
-    console = Console()
+    console = Console(width=110)
     for system in ("tanks", "lgssm"):
         found = figures[system]
         table = Table(title=f"{system}: {found['shape']}", title_justify="left")
