@@ -51,7 +51,10 @@ def start_state(model: Model, params: ModelParams, record: Record, initial: Init
 
 
 def first_output_states(model: Model, record: Record) -> Float[jax.Array, "seq x"]:
-    return jax.vmap(lambda y: first_output_state(model, y))(jnp.asarray(record.y[:, 0]))
+    """x_0 from the first sample of every output that was measured."""
+    first = jnp.argmax(jnp.asarray(record.mask), axis=1, keepdims=True)
+    y = jnp.take_along_axis(jnp.asarray(record.y), first, axis=1)[:, 0]
+    return jax.vmap(lambda y: first_output_state(model, y))(y)
 
 
 def _estimate(model: Model, params: ModelParams, record: Record, n_init: int, guess: jax.Array) -> jax.Array:

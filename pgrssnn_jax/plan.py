@@ -182,7 +182,7 @@ def _member_data(model: Model, splits: Splits, datasets: np.ndarray, epochs: int
 def _check_lengths(splits: Splits, initial: InitialState) -> None:
     for name, record in zip(Splits._fields, splits, strict=True):
         time = record.u.shape[2]
-        if time <= initial.n_init:
+        if initial.kind == "estimated" and time <= initial.n_init:
             raise ValueError(
                 f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}"
             )

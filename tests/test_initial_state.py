@@ -30,6 +30,15 @@ def test_zero_and_first_output():
     np.testing.assert_array_equal(start_state(model, params, record, InitialState("first_output")), [[first, first]])
 
 
+def test_a_first_sample_that_was_not_measured_is_passed_over():
+    model, params, record = alone()
+    hidden = np.ones(record.y.shape, bool)
+    hidden[:, :3] = False
+    masked = record._replace(mask=hidden, y=np.where(hidden, record.y, 0.0).astype(np.float32))
+    start = start_state(model, params, masked, InitialState("first_output"))
+    np.testing.assert_array_equal(start, np.full((1, 2), record.y[0, 3, 0]))
+
+
 def test_a_state_that_resembles_no_output_starts_at_zero():
     model, params, record = alone()
     states = (Signal("upper_level", "V"), model.physics.states[1])

@@ -132,7 +132,7 @@ def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, argume
         (["model.hidden=0"], "model: hidden and gru_layers: expected at least 1"),
         (["model.guided=false", "model.networks=false"], "expected at least one of them to be true"),
         (["initial_state=guessed"], "initial_state.kind: expected zero | first_output | estimated"),
-        (["initial_state=estimated"], "n_init: expected at least 1 sample"),
+        (["initial_state=estimated", "n_init=0"], "n_init: expected at least 1 sample"),
         (["initial_state=estimated", "n_init=4000"], "n_init: expected fewer than"),
         (["n_seeds=0"], "n_seeds: expected an integer of at least 1, found 0"),
         (["seed=-1"], "seed: expected an integer of at least 0, found -1"),
