@@ -27,8 +27,11 @@ class Checkpoint(NamedTuple):
 class CheckpointFolder:
     """Checkpoints of one run, named by epoch; the latest two are kept."""
 
-    def __init__(self, folder: Path) -> None:
-        options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False)
+    def __init__(self, folder: Path, *, create: bool = True) -> None:
+        """create False: for reading. Raises `ValueError` when the folder is not there."""
+        if not create and not folder.is_dir():
+            raise ValueError(f"checkpoint: expected one in {str(folder)!r}, found none")
+        options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False, create=create)
         self._manager = ocp.CheckpointManager(folder.resolve(), options=options)
 
     def save(self, checkpoint: Checkpoint) -> None:

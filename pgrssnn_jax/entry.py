@@ -5,10 +5,14 @@ Imports the standard library alone, so that a missing package can be named inste
 
 import logging
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import metadata, util
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 BAD_INPUT = 2
@@ -72,8 +76,32 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
-def run(prepare: Callable[[Any], Callable[[], None]], config: Any) -> None:
-    """`prepare(config)()`: bad input raises `ValueError` while preparing, before anything is written.
+@contextmanager
+def stop_signal() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C or SIGTERM sets; a second one raises `KeyboardInterrupt` as usual.
+
+    A raised interrupt can be lost inside a callback of JAX; a flag cannot. Main thread only, else never set.
+    """
+    event = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield event
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if event.is_set():
+            raise KeyboardInterrupt
+        event.set()
+
+    previous: dict[signal.Signals, Any] = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield event
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def run(prepare: Callable[[Any], Callable[[threading.Event], None]], config: Any) -> None:
+    """`prepare(config)(stop)`: bad input raises `ValueError` while preparing, before anything is written.
 
     Exit code 2 for bad input, 130 for an interrupted run; any other exception is a bug and keeps its traceback.
     """
@@ -82,13 +110,16 @@ def run(prepare: Callable[[Any], Callable[[], None]], config: Any) -> None:
     logging.getLogger().setLevel(logging.WARNING)  # JAX and orbax report every step through Hydra's handler
     logging.getLogger("hydra").setLevel(logging.INFO)
     try:
-        work = prepare(config)
-    except ValueError as problem:
-        sys.exit(_say(str(problem)))
-    try:
-        work()
+        with stop_signal() as stop:
+            try:
+                work = prepare(config)
+            except ValueError as problem:
+                sys.exit(_say(str(problem)))
+            if stop.is_set():
+                raise Interrupted("stopped before training; nothing was written")
+            work(stop)
     except (Interrupted, KeyboardInterrupt) as stopped:
-        _say(str(stopped) or "stopped; what was saved last can be resumed")
+        sys.stderr.write(f"{stopped or 'stopped; a run folder that was begun can be resumed'}\n")
         sys.exit(INTERRUPTED)
 
 
@@ -99,6 +130,8 @@ def call(main: Callable[[], None]) -> None:
     """
     try:
         main()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
     except SystemExit as ended:
         composed = "jax" in sys.modules
         sys.exit(BAD_INPUT if ended.code == 1 and not composed else ended.code)

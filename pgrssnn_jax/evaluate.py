@@ -14,18 +14,20 @@ from pgrssnn_jax.initial_state import start_state
 from pgrssnn_jax.members import Mapping, Member, map_members
 from pgrssnn_jax.metrics import all_metrics, rmse
 from pgrssnn_jax.objective import MemberData, Objective
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records import Array, Record, real_samples
 from pgrssnn_jax.rollout import rollout
 from pgrssnn_jax.scaling import Units
 
 
 class Predictions(NamedTuple):
     """Free runs with the best parameters of every member, in physical units: `[member, seq, time, y]`; finite
-    `[member]` is False where a state left the floating-point range."""
+    `[member]` is False where a state left the floating-point range; x0 `[member, seq, x]`: where the test runs started.
+    """
 
     test: np.ndarray
     validation: np.ndarray
     finite: np.ndarray
+    x0: np.ndarray
 
 
 def predict(
@@ -37,12 +39,13 @@ def predict(
 ) -> Predictions:
     """Runs the best parameters of every member on its validation and test records `[member, seq, time, channel]`."""
 
-    def one(state: MemberState, data: MemberData, test: Record) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def one(state: MemberState, data: MemberData, test: Record) -> tuple[Array, ...]:
         model, params = objective.model, objective.assemble(state.best, data.scaling)
-        on_test = rollout(model, params, test.u, objective.test_state(state.best, data, test))
-        start = start_state(model, params, data.validation, objective.initial)
-        on_validation = rollout(model, params, data.validation.u, start)
-        return on_test.y, on_validation.y, (on_test.first_bad == test.u.shape[1]).all()
+        start = objective.test_state(state.best, data, test)
+        on_test = rollout(model, params, test.u, start, real=real_samples(test))
+        own = start_state(model, params, data.validation, objective.initial)
+        on_validation = rollout(model, params, data.validation.u, own, real=real_samples(data.validation))
+        return on_test.y, on_validation.y, (on_test.first_bad == test.u.shape[1]).all(), start
 
     return Predictions(*map(np.asarray, jax.jit(map_members(one, mapping))(state, data, test)))
 
@@ -76,7 +79,7 @@ def member_rows(
         row: dict[str, Any] = {
             **member._asdict(),
             "status": "failed" if outcome.failed else "ok",
-            "reason": outcome.sentence,
+            "reason": outcome.sentence if state.epoch[i] or outcome.failed else "not trained",
             "best_epoch": int(state.best_epoch[i]),
             "epochs": int(state.epoch[i]),
             "test": None,
@@ -123,7 +126,7 @@ def summary(
 def _over_members(
     finished: Sequence[dict[str, Any]], test: Record, ensemble_mean: np.ndarray, n_init: int
 ) -> dict[str, float]:
-    figures = {f"{name}_{what}": float("nan") for name in ("rmse", "nrmse", "fit_percent", "cc") for what in ("mean",)}
+    figures = {f"{name}_mean": float("nan") for name in ("rmse", "nrmse", "fit_percent", "cc")}
     figures |= {f"rmse_{what}": float("nan") for what in ("std", "median", "best", "ensemble")}
     if not finished:
         return figures

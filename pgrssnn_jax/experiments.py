@@ -3,6 +3,8 @@
 train   configuration -> plan (all bad input) -> members trained -> predictions -> metrics -> run folder -> report
 """
 
+import shlex
+import threading
 import time
 from collections.abc import Callable
 from functools import partial
@@ -31,7 +33,7 @@ from pgrssnn_jax.runs import RunFolder, discard_if_empty, read_config, shown
 from pgrssnn_jax.training import Losses, Training, losses_table, no_losses, progress, train
 
 
-def prepare_training(config: DictConfig) -> Callable[[], None]:
+def prepare_training(config: DictConfig) -> Callable[[threading.Event], None]:
     """Reads and checks everything; what it returns trains. Raises `ValueError` for bad input, and leaves nothing."""
     console = Console(stderr=False, highlight=False)
     started = time.perf_counter()
@@ -39,44 +41,72 @@ def prepare_training(config: DictConfig) -> Callable[[], None]:
     folder = Path(hydra.runtime.output_dir)
     try:
         if config.resume:
-            folder = Path(config.resume)
+            folder = Path(str(config.resume))
             settings = resume_config(loose(config), read_config(folder), hydra.overrides.task, folder)
         else:
             settings = plain(config)
         plan = plan_training(settings, notify=console.print)
-        first = first_checkpoint(plan, folder)
+        first = resumed(plan, RunFolder(folder)) if plan.config["resume"] else None
     finally:
         discard_if_empty(Path(hydra.runtime.output_dir))
-    command = " ".join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
+    command = shlex.join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
     loading = time.perf_counter() - started
     return partial(train_run, plan, first, RunFolder(folder), console, command=command, seconds={"load": loading})
 
 
-def first_checkpoint(plan: Plan, folder: Path) -> Checkpoint:
-    """Where training starts: freshly drawn members, or those of the run in `folder` that is resumed."""
-    begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
-    first = Checkpoint(begun, plan.data.scaling, plan.units, no_losses(len(plan.members)))
-    if not plan.config["resume"]:
-        return first
-    checkpoints = CheckpointFolder(RunFolder(folder).checkpoint)
+def resumed(plan: Plan, run: RunFolder) -> Checkpoint:
+    """Where the run in a folder stopped. Raises `ValueError` when it is not a run of this plan on this data."""
+    like = jax.eval_shape(map_members(plan.fit.begin, plan.mapping), keys_of(plan.members), plan.data)
+    checkpoints = CheckpointFolder(run.checkpoint, create=False)
     try:
-        return checkpoints.restore(first)
+        found = checkpoints.restore(Checkpoint(like, plan.data.scaling, plan.units, no_losses(len(plan.members))))
     finally:
         checkpoints.close()
+    run.check_data(_origins(plan))
+    for name in ("scaling", "units"):
+        now, before = (jax.tree.leaves(tree) for tree in (getattr(plan.data, name, plan.units), getattr(found, name)))
+        if not all(np.allclose(a, b, rtol=1e-4) for a, b in zip(now, before, strict=True)):
+            raise ValueError(f"resume: data: expected the {name} that the run began with, found that of other data")
+    if found.losses.epochs > plan.fit.settings.epochs:
+        raise ValueError(
+            f"resume: fit.epochs: expected at least the {found.losses.epochs} already trained, "
+            f"found {plan.fit.settings.epochs}"
+        )
+    return found
+
+
+def _origins(plan: Plan) -> dict[str, str]:
+    records = zip(plan.splits._fields, plan.splits, strict=True)
+    return {name: f"{record.info.source}: {record.info.origin}" for name, record in records}
 
 
 def train_run(
-    plan: Plan, first: Checkpoint, run: RunFolder, console: Console, *, command: str, seconds: dict[str, float]
+    plan: Plan,
+    first: Checkpoint | None,
+    run: RunFolder,
+    console: Console,
+    stop: threading.Event,
+    *,
+    command: str,
+    seconds: dict[str, float],
 ) -> None:
-    """Trains, evaluates, reports. Raises `Interrupted` when stopped, after a checkpoint has been written."""
+    """Trains from `first`, or from fresh members; evaluates, reports. stop: ends training after the current chunk.
+
+    Raises `Interrupted` when stopped, after a checkpoint has been written.
+    """
     console.print(_headline(plan), soft_wrap=True)
+    if first is None and run.finished:
+        console.print(f"replacing the earlier run in {shown(run.path)}", soft_wrap=True)
     config_text = OmegaConf.to_yaml(OmegaConf.create({**plan.config, "resume": None}))
-    run.begin(config_text, command=None if plan.config["resume"] else command)
+    run.begin(config_text, command=command if first is None else None, data=_origins(plan))
     checkpoints = CheckpointFolder(run.checkpoint)
-    if not plan.config["resume"]:
+    if first is None:
+        begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
+        first = Checkpoint(begun, plan.data.scaling, plan.units, no_losses(len(plan.members)))
         checkpoints.clear()
         checkpoints.save(first)  # from here on the run can be resumed, whatever ends it
-    trained = _train(plan, first, checkpoints, console)
+    plan = plan._replace(data=plan.data._replace(scaling=first.scaling))
+    trained = _train(plan, first, checkpoints, console, stop)
     checkpoints.save(first._replace(state=trained.state, losses=trained.losses))
     checkpoints.close()
     history = losses_table(trained.losses, pd.DataFrame(plan.members))
@@ -84,7 +114,7 @@ def train_run(
     if trained.interrupted:
         raise Interrupted(
             f"stopped after epoch {trained.losses.epochs} of {plan.fit.settings.epochs}; "
-            f"continue with: python train.py resume={shown(run.path)}"
+            f"continue with: python train.py {shlex.quote(f'resume={shown(run.path)}')}"
         )
     metrics, arrays = _evaluated(plan, trained.state, {**seconds, **trained.seconds})
     run.write_arrays("predictions.npz", arrays)
@@ -103,7 +133,9 @@ def _headline(plan: Plan) -> str:
     )
 
 
-def _train(plan: Plan, first: Checkpoint, checkpoints: CheckpointFolder, console: Console) -> Training:
+def _train(
+    plan: Plan, first: Checkpoint, checkpoints: CheckpointFolder, console: Console, stop: threading.Event
+) -> Training:
     """Training with a progress bar, and a checkpoint every `fit.checkpoint_seconds`."""
     saved = time.perf_counter()
 
@@ -114,11 +146,11 @@ def _train(plan: Plan, first: Checkpoint, checkpoints: CheckpointFolder, console
         def on_chunk(state: MemberState, losses: Losses, now: Any) -> None:
             nonlocal saved
             show(now)
-            if time.perf_counter() - saved > plan.config["fit"]["checkpoint_seconds"]:
+            if time.perf_counter() - saved > plan.fit.settings.checkpoint_seconds:
                 checkpoints.save(first._replace(state=state, losses=losses))
                 saved = time.perf_counter()
 
-        return train(plan.fit, plan.mapping, first.state, plan.data, first.losses, on_chunk=on_chunk)
+        return train(plan.fit, plan.mapping, first.state, plan.data, first.losses, on_chunk=on_chunk, stop=stop)
 
 
 def _evaluated(
@@ -159,5 +191,6 @@ def _evaluated(
         "ensemble_std": deviation,
         "seed": np.array([member.seed for member in plan.members]),
         "dataset": datasets,
+        "x0": predictions.x0,
     }
     return metrics, arrays

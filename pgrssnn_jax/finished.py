@@ -29,7 +29,16 @@ class FinishedRun(NamedTuple):
     config: dict[str, Any]
 
     def simulate(self, u: Array, x0: Array) -> Float[np.ndarray, "member time y"]:
-        """Free run of every member from u `[time, u]`, in measured units, and x0 `[x]`, in the physics' units."""
+        """Free run of every member from u `[time, u]`, in measured units, and x0 `[x]`, in the physics' units.
+
+        The x0 of the run's own test record stands in its `predictions.npz`. Raises `ValueError` for other shapes.
+        """
+        for name, signal, shape in (
+            ("u", u, (len(u), len(self.model.physics.inputs))),
+            ("x0", x0, (self.model.n_x,)),
+        ):
+            if np.shape(signal) != shape:
+                raise ValueError(f"simulate: {name}: expected shape {shape}, found {np.shape(signal)}")
         u, x0 = jnp.asarray(u, jnp.float32)[None], jnp.asarray(x0, jnp.float32)[None]
 
         def one(params: ModelParams, units: Units) -> jax.Array:
@@ -47,7 +56,7 @@ def load_run(folder: str | Path) -> FinishedRun:
     run = RunFolder(Path(folder))
     config = read_config(run.path)
     fit = plan_fit(config)
-    checkpoints = CheckpointFolder(run.checkpoint)
+    checkpoints = CheckpointFolder(run.checkpoint, create=False)
     found = checkpoints.restore(_structure(fit), any_shape=True)
     checkpoints.close()
     params = jax.vmap(fit.objective.assemble)(found.state.best, found.scaling)

@@ -49,7 +49,7 @@ _SENTENCES = {
 class FitSettings:
     """optimizer with learning_rate, weight_decay (adamw only) and clip_norm (gradient norm, None: off); at most
     `epochs`, validated every `validate_every`, stopped `patience` epochs after the best; `chunk_epochs` per compiled
-    call. physics_parameters: trained or fixed at their values."""
+    call. physics_parameters: trained or fixed at their values; checkpoint_seconds between checkpoints on disk."""
 
     epochs: int = 1000
     optimizer: Literal["adam", "adamw"] = "adamw"
@@ -60,6 +60,7 @@ class FitSettings:
     patience: int = 100
     chunk_epochs: int = 20
     physics_parameters: Literal["fixed", "trained"] = "fixed"
+    checkpoint_seconds: float = 30.0
 
     def __post_init__(self) -> None:
         for name in ("validate_every", "patience", "chunk_epochs"):
@@ -67,8 +68,13 @@ class FitSettings:
                 raise ValueError(f"fit: {name}: expected at least 1, found {getattr(self, name)}")
         if self.epochs < 0:
             raise ValueError(f"fit: epochs: expected 0 or more, found {self.epochs}")
-        if not self.learning_rate > 0:
-            raise ValueError(f"fit: learning_rate: expected a positive number, found {self.learning_rate}")
+        for name in ("learning_rate", "clip_norm"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"fit: {name}: expected a positive number, found {value}")
+        for name in ("weight_decay", "checkpoint_seconds"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"fit: {name}: expected 0 or more, found {getattr(self, name)}")
 
     @property
     def blocks(self) -> int:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.initial_state import InitialState, first_output_states, start_state
 from pgrssnn_jax.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Parameter, is_parameter
-from pgrssnn_jax.records import Array, Record
+from pgrssnn_jax.records import Array, Record, real_samples
 from pgrssnn_jax.rollout import Route, rollout
 from pgrssnn_jax.scaling import Scaling
 
@@ -116,7 +116,7 @@ class Objective(NamedTuple):
         return params.scaling.x.to_physical(theta.x0)
 
     def _loss(self, params: ModelParams, record: Record, x0: jax.Array) -> Loss:
-        predicted = rollout(self.model, params, record.u, x0, route=self.route)
+        predicted = rollout(self.model, params, record.u, x0, route=self.route, real=real_samples(record))
         y = params.scaling.y
         error = jnp.where(record.mask, y.to_scaled(record.y) - y.to_scaled(predicted.y), 0.0)
         squares = jnp.sum(error**2)

@@ -1,10 +1,11 @@
 """From the composed configuration to everything a training run needs. All bad input is found here, before a byte is
 written: every function raises `ValueError` with one sentence."""
 
+import importlib
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import hydra
 import jax
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
@@ -28,7 +29,34 @@ LOADERS: dict[str, Callable[..., Splits]] = {
     "lgssm": load_lgssm,
     "csv": load_csv,
 }
+_KEYS = {
+    "physics", "data", "model", "fit", "members",
+    "seed", "n_seeds", "initial_state", "n_init", "report_n_init", "resume",
+}  # fmt: skip
+_LARGEST = 1e18  # whose square is still a float32
 _NOT_OF_THE_LOADER = ("name", "published_scaling", "shared_initial_state")
+
+
+@dataclass(frozen=True)
+class DataConventions:
+    """What a configuration says of its data beside the loader's arguments."""
+
+    name: str
+    published_scaling: bool = False
+    shared_initial_state: bool = False
+
+
+@dataclass(frozen=True)
+class Seeds:
+    """Members take seed, seed + 1, ..., n_seeds of them per dataset."""
+
+    seed: int
+    n_seeds: int
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("seed", 0, 2**31 - 1), ("n_seeds", 1, 10**6)):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"{name}: expected {least} to {most}, found {getattr(self, name)}")
 
 
 class Plan(NamedTuple):
@@ -51,12 +79,15 @@ class Plan(NamedTuple):
 
 def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> Plan:
     """config: the resolved configuration as plain data; notify: shows one line to the user."""
+    unknown = sorted(config.keys() - _KEYS)
+    if unknown:
+        raise ValueError(f"configuration: expected the keys {sorted(_KEYS)}, found {unknown[0]!r}")
     fit = plan_fit(config)
     model, initial = fit.objective.model, fit.objective.initial
     splits = load_splits(config["data"], model.physics, notify)
-    _check_lengths(splits, initial)
+    _check_records(splits, initial)
     worked_on, units = _published_scaling(config["data"], splits)
-    chosen = _members(config, len(splits.train.u), nothing_trained=_nothing_trained(fit))
+    chosen = _members(config, len(splits.train.u), seeds_differ=model.graph is not None)
     datasets = np.array([member.dataset for member in chosen])
     data, test = _member_data(model, worked_on, datasets, fit.settings.epochs)
     return Plan(
@@ -76,8 +107,8 @@ def plan_fit(config: Mapping[str, Any]) -> Fit:
     """Physics, model and training settings of a configuration; no data."""
     spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
     model = build_model(spec, load_physics(config["physics"]))
-    settings = call_with(FitSettings, _without(config["fit"], "checkpoint_seconds"), "fit")
-    shared = bool(config["data"].get("shared_initial_state", False))
+    settings = call_with(FitSettings, config["fit"], "fit")
+    shared = _conventions(config["data"]).shared_initial_state
     start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
     initial = call_with(InitialState, start, "initial_state")
     train_physics = settings.physics_parameters == "trained"
@@ -109,14 +140,21 @@ def loose(config: DictConfig) -> dict[str, Any]:
 
 def load_physics(group: Mapping[str, Any]) -> Physics:
     """Calls the function named by `physics._target_` with the other keys of the group and checks what it returns."""
-    target = group["_target_"]
+    target = str(group["_target_"])
+    module, _, name = target.rpartition(".")
     try:
-        function = hydra.utils.get_method(str(target))
-    except (ImportError, ValueError, AttributeError, TypeError) as problem:
-        reason = str(problem.__cause__ or problem).splitlines()[0]
-        raise ValueError(f"physics._target_: expected an importable function, found {target!r} ({reason})") from None
-    physics = call_with(function, _without(group, "_target_"), "physics")
-    check_physics(physics, str(target))
+        function = getattr(importlib.import_module(module), name)
+    except Exception as problem:  # whatever a user's module does while it is imported
+        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        raise ValueError(f"physics._target_: expected an importable function, found {target!r} ({reason})") from problem
+    try:
+        physics = call_with(function, _without(group, "_target_"), "physics")
+    except ValueError:
+        raise
+    except Exception as problem:
+        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        raise ValueError(f"physics: expected {target!r} to return a Physics, found {reason}") from problem
+    check_physics(physics, target)
     return physics
 
 
@@ -153,21 +191,18 @@ def _without(group: Mapping[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _published_scaling(group: Mapping[str, Any], splits: Splits) -> tuple[Splits, Units]:
-    return standardise(splits) if group.get("published_scaling", False) else (splits, measured_units(splits))
+    return standardise(splits) if _conventions(group).published_scaling else (splits, measured_units(splits))
 
 
-def _nothing_trained(fit: Fit) -> bool:
-    objective = fit.objective
-    return objective.model.graph is None and not objective.train_physics and objective.initial.kind != "estimated"
+def _conventions(group: Mapping[str, Any]) -> DataConventions:
+    return call_with(DataConventions, {key: group[key] for key in _NOT_OF_THE_LOADER if key in group}, "data")
 
 
-def _members(config: Mapping[str, Any], n_datasets: int, *, nothing_trained: bool) -> list[members.Member]:
-    """Every dataset with every seed; one seed where nothing is trained, because all would be equal."""
-    seed, n_seeds = config["seed"], 1 if nothing_trained else config["n_seeds"]
-    for name, value, least in (("seed", seed, 0), ("n_seeds", n_seeds, 1)):
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            raise ValueError(f"{name}: expected an integer of at least {least}, found {value!r}")
-    return [members.Member(seed + i, dataset) for dataset in range(n_datasets) for i in range(n_seeds)]
+def _members(config: Mapping[str, Any], n_datasets: int, *, seeds_differ: bool) -> list[members.Member]:
+    """Every dataset with every seed; one seed without networks, because nothing else is drawn."""
+    seeds = call_with(Seeds, {name: config[name] for name in ("seed", "n_seeds")}, "seeds")
+    count = seeds.n_seeds if seeds_differ else 1
+    return [members.Member(seeds.seed + i, dataset) for dataset in range(n_datasets) for i in range(count)]
 
 
 def _member_data(model: Model, splits: Splits, datasets: np.ndarray, epochs: int) -> tuple[MemberData, Record]:
@@ -179,9 +214,12 @@ def _member_data(model: Model, splits: Splits, datasets: np.ndarray, epochs: int
     return MemberData(train, validation, stacked, last_epoch), test
 
 
-def _check_lengths(splits: Splits, initial: InitialState) -> None:
+def _check_records(splits: Splits, initial: InitialState) -> None:
     for name, record in zip(Splits._fields, splits, strict=True):
         time = record.u.shape[2]
+        for signal in (record.u, np.where(record.mask, record.y, 0.0)):
+            if (largest := np.abs(signal).max()) > _LARGEST:
+                raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
         if initial.kind == "estimated" and time <= initial.n_init:
             raise ValueError(
                 f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}"
@@ -189,9 +227,15 @@ def _check_lengths(splits: Splits, initial: InitialState) -> None:
 
 
 def _report_n_init(wanted: Any, initial: InitialState, test: Record) -> list[int]:
-    """The windows to report; samples from which the initial state was estimated never count in the main figure."""
-    if not isinstance(wanted, list) or not wanted or not all(type(n) is int and n >= 0 for n in wanted):
+    """The windows to report; test samples from which the initial state was found never count in the main figure."""
+    time = test.u.shape[2]
+    if not isinstance(wanted, list) or not all(type(n) is int and n >= 0 for n in wanted):
         raise ValueError(f"report_n_init: expected a list of sample counts like [0, 5, 50], found {wanted!r}")
-    windows = [n for n in wanted if n < test.u.shape[2]] or [0]
-    used = initial.n_init if initial.kind == "estimated" and not initial.shared else 0
-    return windows if windows[0] >= used else [used, *(n for n in windows if n > used)]
+    used = 0 if initial.shared else {"zero": 0, "first_output": 1, "estimated": initial.n_init}[initial.kind]
+    windows = sorted({max(n, used) for n in wanted if max(n, used) < time}, key=[max(n, used) for n in wanted].index)
+    if not windows:
+        raise ValueError(
+            f"report_n_init: expected a count below the {time} samples of the test record"
+            f"{f' and of at least {used}' if used else ''}, found {wanted}"
+        )
+    return windows

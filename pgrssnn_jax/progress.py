@@ -11,7 +11,7 @@ from pgrssnn_jax.training import Progress
 
 
 @contextmanager
-def training_bar(console: Console, epochs: int, start: int = 0) -> Iterator[Callable[[Progress], None]]:
+def training_bar(console: Console, epochs: int) -> Iterator[Callable[[Progress], None]]:
     """A function to call with the `Progress` after each chunk: epoch, loss, best validation, members, time left."""
     columns = (
         TextColumn("epoch {task.completed:.0f}/{task.total:.0f}"),
@@ -22,7 +22,7 @@ def training_bar(console: Console, epochs: int, start: int = 0) -> Iterator[Call
         TimeRemainingColumn(),
     )
     with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=epochs, completed=start, loss=float("nan"), best=float("nan"),
+        task = bar.add_task("", total=epochs, loss=float("nan"), best=float("nan"),
                             alive="-", planned="-", failed=0)  # fmt: skip
         printed = -1
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
@@ -28,7 +29,8 @@ class Channel(NamedTuple):
 class RecordInfo:
     """What the numbers of a record mean; static, so that a record passes through `jit` and `vmap`.
 
-    source: `file`, `download` or `simulated`; origin: where exactly, in words.
+    source: `file`, `download` or `simulated`; origin: where exactly, in words; padded: sequences of unequal length were
+    filled up at their ends, after the last measured sample.
     """
 
     inputs: tuple[Channel, ...]
@@ -36,6 +38,7 @@ class RecordInfo:
     dt: float
     source: str
     origin: str = ""
+    padded: bool = False
 
 
 class Record(NamedTuple):
@@ -86,6 +89,14 @@ def record(u: Array, y: Array, info: RecordInfo, mask: Array | None = None) -> R
     if not (np.isfinite(u).all() and np.isfinite(y[mask]).all()):
         raise ValueError("record: u and y: expected finite numbers wherever the mask is True, found NaN or infinity")
     return Record(u, np.where(mask, y, 0.0), mask, info)
+
+
+def real_samples(whole: Record) -> Bool[Array, "*members seq time"] | None:
+    """True up to the last measured sample of every sequence; None where no sequence is padded."""
+    if not whole.info.padded:
+        return None
+    measured = jnp.asarray(whole.mask).any(-1)
+    return jnp.flip(jnp.cumsum(jnp.flip(measured, -1), -1), -1) > 0
 
 
 def windows(whole: Record, length: int) -> Record:

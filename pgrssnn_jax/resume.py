@@ -7,7 +7,6 @@ from typing import Any
 # how long to train and how members are mapped; everything else makes another run
 FLEXIBLE = (
     "fit.epochs",
-    "fit.patience",
     "fit.checkpoint_seconds",
     "members.how",
     "members.sub_batch",
@@ -31,6 +30,8 @@ def resume_config(
         named = "experiment" in names or any(key == name or key.startswith(f"{name}.") for name in names)
         if not named or key == "resume" or now[key] == before.get(key):
             continue
+        if key in FLEXIBLE and key not in names:
+            continue  # a default of the experiment, not a wish
         if key not in FLEXIBLE:
             raise ValueError(
                 f"resume: {key}: expected {before.get(key)!r} as in {folder.name}/config.yaml, found {now[key]!r}"
@@ -40,7 +41,7 @@ def resume_config(
 
 
 def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
-    if not isinstance(tree, Mapping):
+    if not isinstance(tree, Mapping) or not tree:
         return {prefix.rstrip("."): tree}
     return {key: value for name, part in tree.items() for key, value in _flat(part, f"{prefix}{name}.").items()}
 

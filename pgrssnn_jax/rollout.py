@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.gru import delayed
 from pgrssnn_jax.model import Model, ModelParams
@@ -36,12 +36,14 @@ def rollout(
     x0: Float[Array, "seq x"],
     *,
     route: Route | None = None,
+    real: Bool[Array, "seq time"] | None = None,
 ) -> Trajectory:
     """Predicts every sequence of one member. u and x0 in physical units; the GRU starts at zero.
 
     The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
-    leaves the floating-point range does not raise; it is reported in `first_bad`. Raises `ValueError` for an unknown
-    route, and if `split` is asked of a model with feedback.
+    leaves the floating-point range does not raise; it is reported in `first_bad`. real (`records.real_samples`): where
+    it is False the state is held, so that padding can neither fail nor spoil a gradient. Raises `ValueError` for an
+    unknown route, and if `split` is asked of a model with feedback.
     """
     if route not in (None, "fused", "split"):
         raise ValueError(f"rollout: route: expected 'fused', 'split' or None, found {route!r}")
@@ -51,7 +53,8 @@ def rollout(
     params = params._replace(physics=jax.tree.map(lambda p: jnp.asarray(p, x0.dtype), params.physics))
     u_time, x0 = jnp.swapaxes(jnp.asarray(u), 0, 1), jnp.asarray(x0)
     fused = route == "fused" or model.spec.feedback
-    x_time = (_fused if fused else _split)(model, params, networks, u_time, x0)
+    held = None if real is None else ~jnp.swapaxes(jnp.asarray(real), 0, 1)
+    x_time = (_fused if fused else _split)(model, params, networks, u_time, x0, held)
     read = x_time if model.physics.reads == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])
     y_time = _measure(model, params, networks, read, u_time)
     finite = jnp.isfinite(x_time).all(-1) & jnp.isfinite(y_time).all(-1)
@@ -66,14 +69,21 @@ def _physics_step(model: Model, params: ModelParams, x: jax.Array, u: jax.Array)
     return jax.vmap(model.physics.step, (None, 0, 0))(params.physics, x, u)
 
 
-def _fused(model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array) -> jax.Array:
+def _fused(
+    model: Model,
+    params: ModelParams,
+    networks: Networks | None,
+    u: jax.Array,
+    x0: jax.Array,
+    held: jax.Array | None,
+) -> jax.Array:
     """x `[time, seq, x]` by one scan; the carry is one packed array `[seq, x + layers · hidden]`."""
     n_x, hidden = model.n_x, model.spec.hidden
     layers = len(networks.gru) if networks is not None else 0
     u_scaled = params.scaling.u.to_scaled(u)
 
-    def body(carry: jax.Array, inputs: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        u_t, u_t_scaled = inputs
+    def body(carry: jax.Array, inputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+        u_t, u_t_scaled, *held_t = inputs
         x, *h = jnp.split(carry, [n_x + i * hidden for i in range(layers)], axis=1) if layers else (carry,)
         new = _physics_step(model, params, x, u_t)
         if networks is not None:
@@ -85,13 +95,21 @@ def _fused(model: Model, params: ModelParams, networks: Networks | None, u: jax.
             below = phi
             for i, layer in enumerate(networks.gru):
                 h[i] = below = layer.step(h[i], layer.project(below))
+        new = _hold(held_t, x, new)
         return jnp.concatenate([new, *h], -1), new
 
     start = jnp.concatenate([x0, jnp.zeros((x0.shape[0], layers * hidden), x0.dtype)], -1)
-    return jax.lax.scan(body, start, (u, u_scaled))[1]
+    return jax.lax.scan(body, start, (u, u_scaled) if held is None else (u, u_scaled, held))[1]
 
 
-def _split(model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array) -> jax.Array:
+def _split(
+    model: Model,
+    params: ModelParams,
+    networks: Networks | None,
+    u: jax.Array,
+    x0: jax.Array,
+    held: jax.Array | None,
+) -> jax.Array:
     """x `[time, seq, x]` with everything but the two recurrences batched over time."""
     if networks is None:
         correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
@@ -102,12 +120,16 @@ def _split(model: Model, params: ModelParams, networks: Networks | None, u: jax.
     if not model.spec.guided:
         return correction
 
-    def body(x: jax.Array, inputs: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        u_t, correction_t = inputs
-        x = _physics_step(model, params, x, u_t) + correction_t
+    def body(x: jax.Array, inputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+        u_t, correction_t, *held_t = inputs
+        x = _hold(held_t, x, _physics_step(model, params, x, u_t) + correction_t)
         return x, x
 
-    return jax.lax.scan(body, x0, (u, correction))[1]
+    return jax.lax.scan(body, x0, (u, correction) if held is None else (u, correction, held))[1]
+
+
+def _hold(held: list[jax.Array], old: jax.Array, new: jax.Array) -> jax.Array:
+    return jnp.where(held[0][:, None], old, new) if held else new
 
 
 def gru_states_before(networks: Networks, phi: Float[jax.Array, "time seq hidden"]) -> jax.Array:

@@ -3,14 +3,15 @@
     config.yaml  environment.json  history.csv  metrics.json  predictions.npz  checkpoint/  figures/*.png
     report.html  DONE
 
-Every file is written under a temporary name and renamed; `DONE` is written last, so a folder without it holds a run
-that has not finished.
+Files of numbers and text are written under a temporary name and renamed; `DONE` is written last, so a folder without
+it holds a run that has not finished.
 """
 
 import json
 import math
 import os
 import platform
+import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from importlib import metadata
@@ -43,15 +44,24 @@ class RunFolder:
     def finished(self) -> bool:
         return (self.path / "DONE").exists()
 
-    def begin(self, config_text: str, *, command: str | None) -> None:
-        """Writes what is known before training; command None: a resumed run, whose first command stays on record.
+    def begin(self, config_text: str, *, command: str | None, data: Mapping[str, str]) -> None:
+        """Writes what is known before training: configuration, environment, command, and where the data came from.
 
-        An earlier `DONE` goes first: from here on the run is unfinished.
+        The results of an earlier run in this folder go first: from here on the run is unfinished. command None: a
+        resumed run, whose environment and command stay on record.
         """
-        (self.path / "DONE").unlink(missing_ok=True)
+        for name in ("DONE", "metrics.json", "predictions.npz", "history.csv", "report.html"):
+            (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.figures, ignore_errors=True)
         self.write_text("config.yaml", config_text)
         if command is not None:
-            self.write_json("environment.json", {**environment(), "command": command})
+            self.write_json("environment.json", {**environment(), "command": command, "data": data})
+
+    def check_data(self, data: Mapping[str, str]) -> None:
+        """Raises `ValueError` when the run in this folder was made from other data than `data`."""
+        before = json.loads((self.path / "environment.json").read_text(encoding="utf-8")).get("data")
+        if before != dict(data):
+            raise ValueError(f"resume: data: expected {before} as the run began with, found {dict(data)}")
 
     def write_text(self, name: str, text: str) -> None:
         self._replace(name, lambda path: path.write_text(text, encoding="utf-8"))
@@ -100,16 +110,19 @@ def _version(name: str) -> str | None:
 
 
 def _commit() -> str | None:
-    """Commit of this package's checkout, with `+changes` if the tree differs; None outside a checkout."""
-    here = Path(__file__).parent
+    """Commit of this package's checkout, with `+changes` if the tree differs; None outside a checkout of its own."""
+    package = Path(__file__).resolve().parent
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=package, capture_output=True, text=True, timeout=10, check=True)
+        return done.stdout.strip()
+
     try:
-        commit = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+changes", "--abbrev=12"],
-            cwd=here, capture_output=True, text=True, timeout=10, check=True,
-        )  # fmt: skip
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != package.parent:
+            return None
+        return git("describe", "--always", "--dirty=+changes", "--abbrev=12")
     except (OSError, subprocess.SubprocessError):
         return None
-    return commit.stdout.strip()
 
 
 def _without_nan(content: Any) -> Any:
@@ -127,7 +140,7 @@ def read_config(folder: Path) -> dict[str, Any]:
     """The configuration that a run folder was made with. Raises `ValueError` when `folder` holds no run."""
     path = folder / "config.yaml"
     if not path.is_file():
-        raise ValueError(f"resume: expected a run folder with a config.yaml, found none in {str(folder)!r}")
+        raise ValueError(f"run folder: expected one with a config.yaml, found none in {str(folder)!r}")
     found = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
     assert isinstance(found, dict)
     return {str(key): value for key, value in found.items()}

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.base import Physics, Step
-from pgrssnn_jax.records import Array, Record, Splits
+from pgrssnn_jax.records import Array, Record, Splits, real_samples
 
 
 class Affine(NamedTuple):
@@ -59,7 +59,7 @@ def identity(channels: int) -> Affine:
 
 def signal_scaling(train: Record) -> tuple[Affine, Affine]:
     """Scalings of u and y from one training record `[seq, time, channel]`; masked samples do not count."""
-    u = np.asarray(train.u, np.float64).reshape(-1, train.u.shape[-1])
+    u = np.asarray(train.u, np.float64)[_real(train)]
     y = np.ma.array(np.asarray(train.y, np.float64), mask=~np.asarray(train.mask)).reshape(-1, train.y.shape[-1])
     return (
         _affine(u.mean(0), u.std(0)),
@@ -95,7 +95,13 @@ def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "sam
     """States of the physics alone from zero, over all training sequences; non-finite values become zero."""
     start = jnp.zeros(len(physics.states))
     x = np.asarray(_free_run(physics.step, physics.params, start, jnp.asarray(train.u)), np.float64)
-    return np.nan_to_num(x.reshape(-1, x.shape[-1]), posinf=0.0, neginf=0.0)
+    return np.nan_to_num(x[_real(train)], posinf=0.0, neginf=0.0)
+
+
+def _real(train: Record) -> np.ndarray:
+    """Which samples `[seq, time]` are no padding."""
+    real = real_samples(train)
+    return np.ones(train.u.shape[:2], bool) if real is None else np.asarray(real)
 
 
 @partial(jax.jit, static_argnums=0)  # compiled once for all datasets of one physics

@@ -16,16 +16,22 @@ def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, 
     left out. Raises `ValueError` for an unknown key, for a missing one, and for a value of another type or outside
     its choices; the checks of `function` itself apply too.
     """
-    hints = get_type_hints(function.__init__ if inspect.isclass(function) else function)
+    named = getattr(function, "func", function)  # functools.partial
+    hints = get_type_hints(named.__init__ if inspect.isclass(named) else named)
     parameters = inspect.signature(function).parameters
     known = [name for name in parameters if name not in more]
+    anything = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for name in group:
-        if name not in known:
+        if name not in known and not anything:
             raise ValueError(f"{where}: expected the keys {known}, found {name!r}")
     arguments = {name: _checked(value, hints.get(name, Any), f"{where}.{name}") for name, value in group.items()}
     arguments |= {name: value for name, value in more.items() if name in parameters}
     for name, parameter in parameters.items():
-        if parameter.default is parameter.empty and name not in arguments:
+        optional = parameter.default is not parameter.empty or parameter.kind in (
+            parameter.VAR_KEYWORD,
+            parameter.VAR_POSITIONAL,
+        )
+        if not optional and name not in arguments:
             raise ValueError(f"{where}.{name}: expected a value, found none")
     return function(**arguments)
 

@@ -2,17 +2,14 @@
 
     state, history = advance(state, data)        until every member has stopped or the last epoch is reached
 
-Ctrl-C and SIGTERM end the loop after the current chunk, so that the state is always a whole one; a second signal
-interrupts at once.
+A stop that is asked for (`entry.stop_signal`) ends the loop after the current chunk, so that the state is always a
+whole one.
 """
 
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import FrameType
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -65,11 +62,12 @@ def train(
     losses: Losses,
     *,
     on_chunk: Callable[[MemberState, Losses, Progress], None],
+    stop: threading.Event,
 ) -> Training:
     """Trains all members from `state`, which a checkpoint may have given, and appends to `losses`.
 
     on_chunk is called after every chunk with the state on the device; what it does (a progress bar, a checkpoint) is
-    the caller's matter. One program is compiled, whatever the number of chunks.
+    the caller's matter; stop: looked at between chunks. One program is compiled, whatever the number of chunks.
     """
     settings = fit.settings
     seconds = {"compile": 0.0, "train": 0.0}
@@ -79,11 +77,10 @@ def train(
     advance = jax.jit(map_members(fit.advance, mapping), donate_argnums=0).lower(state, data).compile()
     seconds["compile"] = time.perf_counter() - started
     started = time.perf_counter()
-    with stop_signal() as stop:
-        while not (finished := done(state, losses, settings)) and not stop.is_set():
-            state, history = advance(state, data)
-            losses = _append(losses, jax.device_get(history), settings)
-            on_chunk(state, losses, progress(state, losses, settings))
+    while not (finished := done(state, losses, settings)) and not stop.is_set():
+        state, history = advance(state, data)
+        losses = _append(losses, jax.device_get(history), settings)
+        on_chunk(state, losses, progress(state, losses, settings))
     seconds["train"] = time.perf_counter() - started
     return Training(state, losses, seconds, not finished)
 
@@ -94,8 +91,7 @@ def done(state: MemberState, losses: Losses, settings: FitSettings) -> bool:
 
 def progress(state: MemberState, losses: Losses, settings: FitSettings) -> Progress:
     outcome, best = np.asarray(state.outcome), np.asarray(state.best_loss)
-    latest = losses.train[:, -1] if losses.epochs else np.array([np.nan])
-    finite = latest[np.isfinite(latest)]
+    finite = np.array([row[np.isfinite(row)][-1] for row in losses.train if np.isfinite(row).any()])
     return Progress(
         epoch=losses.epochs,
         epochs=settings.epochs,
@@ -136,24 +132,3 @@ def losses_table(losses: Losses, members: pd.DataFrame) -> pd.DataFrame:
         }
     )
     return table.dropna(subset=["train_loss", "validation_loss"], how="all").reset_index(drop=True)
-
-
-@contextmanager
-def stop_signal() -> Iterator[threading.Event]:
-    """An event that Ctrl-C or SIGTERM sets; a second Ctrl-C raises as usual. Main thread only, else never set."""
-    event = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield event
-        return
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if event.is_set():
-            raise KeyboardInterrupt
-        event.set()
-
-    previous: dict[signal.Signals, Any] = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield event
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

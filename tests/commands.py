@@ -3,13 +3,14 @@
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 from hydra import compose, initialize_config_dir
 from rich.console import Console
 
-from pgrssnn_jax.experiments import first_checkpoint, train_run
+from pgrssnn_jax.experiments import train_run
 from pgrssnn_jax.plan import Plan, plain, plan_training
 from pgrssnn_jax.runs import RunFolder
 
@@ -30,8 +31,7 @@ def trained(folder: Path, *overrides: str) -> RunFolder:
     run = RunFolder(folder)
     with (folder.parent / f"{folder.name}.log").open("w") as log:
         plan = planned(*overrides)
-        first = first_checkpoint(plan, folder)
-        train_run(plan, first, run, Console(file=log), command="python train.py", seconds={})
+        train_run(plan, None, run, Console(file=log), threading.Event(), command="python train.py", seconds={})
     return run
 
 

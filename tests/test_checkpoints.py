@@ -7,6 +7,7 @@ import pytest
 from small import small_fit
 
 from pgrssnn_jax.checkpoints import Checkpoint, CheckpointFolder
+from pgrssnn_jax.entry import stop_signal
 from pgrssnn_jax.fit import FitSettings
 from pgrssnn_jax.initial_state import InitialState
 from pgrssnn_jax.members import Mapping, Member, keys_of, map_members
@@ -89,7 +90,8 @@ def test_an_interrupted_and_resumed_run_ends_bit_for_bit_as_an_uninterrupted_one
     fit, data = small_fit(settings=FitSettings(epochs=24, validate_every=2, chunk_epochs=4, learning_rate=1e-2))
 
     def run(state, losses, on_chunk) -> Training:
-        return train(fit, Mapping("vmap", None, 2), state, data, losses, on_chunk=on_chunk)
+        with stop_signal() as stop:
+            return train(fit, Mapping("vmap", None, 2), state, data, losses, on_chunk=on_chunk, stop=stop)
 
     whole = run(begun(fit, data), no_losses(3), lambda *_: None)
 

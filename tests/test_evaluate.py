@@ -31,10 +31,12 @@ def begun():
 
 def case(outcomes=(0, 1, 0), finite=(True, True, True)):
     """Three members that are wrong by 1, 2 and 3 V everywhere."""
-    state = begun()._replace(outcome=jnp.array(outcomes, jnp.int32), best_epoch=jnp.array([5, 6, 7], jnp.int32))
+    state = begun()._replace(
+        outcome=jnp.array(outcomes, jnp.int32), best_epoch=jnp.array([5, 6, 7]), epoch=jnp.array([9, 9, 9])
+    )
     test = stack([measured()] * 3)
     wrong = np.array([1.0, 2.0, 3.0])[:, None, None, None]
-    predictions = Predictions(test.y + wrong, test.y - wrong, np.array(finite))
+    predictions = Predictions(test.y + wrong, test.y - wrong, np.array(finite), np.zeros((3, 2, 2)))
     return state, test, predictions
 
 

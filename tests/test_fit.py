@@ -1,5 +1,7 @@
 """Training of members: what is minimised, who stops when, and that nobody disturbs anybody."""
 
+from threading import Event
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +30,9 @@ def run(
     mapping = mapping or Mapping()
     state = begin(fit, data, mapping) if state is None else state
     losses = losses or no_losses(len(data.last_epoch))
-    return train(fit, mapping, jax.tree.map(jnp.copy, state), data, losses, on_chunk=watch or (lambda *_: None))
+    return train(
+        fit, mapping, jax.tree.map(jnp.copy, state), data, losses, on_chunk=watch or (lambda *_: None), stop=Event()
+    )
 
 
 def equal(a, b) -> bool:

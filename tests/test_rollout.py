@@ -24,7 +24,7 @@ from pgrssnn_jax.networks import ModelSpec
 from pgrssnn_jax.physics.base import Signal, discrete
 from pgrssnn_jax.physics.lgssm import linear
 from pgrssnn_jax.rollout import rollout
-from pgrssnn_jax.scaling import Scaling, identity
+from pgrssnn_jax.scaling import Affine, Scaling, identity
 
 # --- the equations, sample by sample and without the package ----------------------------------------------------------
 
@@ -399,3 +399,30 @@ def test_gradient_to_the_physics_equals_finite_differences(key, name):
 
     slope, value, h = quick_jit(jax.grad(loss))(0.3), quick_jit(loss), 1e-6
     np.testing.assert_allclose(slope, (value(0.3 + h) - value(0.3 - h)) / (2 * h), rtol=1e-6)
+
+
+@pytest.mark.parametrize("route", ["fused", "split"])
+def test_padding_holds_the_state_and_spoils_no_gradient(key, route):
+    """An unstable system runs out of the floating-point range in 400 samples of padding, were it not held."""
+    unstable = linear(A=[[1.3]], B=[[1.0]], C=[[1.0]])
+    model = build_model(ModelSpec(hidden=3), unstable)
+    one, zero = np.ones(1), np.zeros(1)
+    scaling = Scaling(Affine(zero, one), Affine(zero, one), Affine(zero, one))
+    u = jnp.ones((1, 420, 1), jnp.float32)
+    real = jnp.arange(420)[None] < 20
+
+    def loss(network, u, real):
+        params = ModelParams(network, unstable.params, scaling)
+        found = rollout(model, params, u, jnp.zeros((1, 1)), route=route, real=real)
+        return jnp.sum(found.y[:, :20] ** 2), found.first_bad
+
+    gradient = jax.jit(jax.value_and_grad(loss, has_aux=True))
+    weights = model.init(key)
+    (padded, first_bad), padded_slope = gradient(weights, u, real)
+    (alone, _), slope = gradient(weights, u[:, :20], real[:, :20])
+    assert first_bad[0] == 420
+    np.testing.assert_allclose(padded, alone, rtol=1e-5)
+    for a, b in zip(jax.tree.leaves(padded_slope), jax.tree.leaves(slope), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-3 * float(jnp.abs(b).max()))
+    (_, not_held), _ = gradient(weights, u, jnp.ones_like(real))
+    assert not_held[0] < 420

@@ -42,14 +42,19 @@ def test_a_failed_write_leaves_the_earlier_file(tmp_path):
 
 def test_done_comes_last_and_goes_first(tmp_path):
     run = RunFolder(tmp_path / "run")
-    run.begin("a: 1\n", command="python train.py")
+    run.begin("a: 1\n", command="python train.py", data={"train": "file: a"})
     assert not run.finished
     run.finish()
     assert run.finished
-    run.begin("a: 2\n", command="python train.py")
+    (tmp_path / "run/metrics.json").write_text("{}")
+    run.begin("a: 2\n", command=None, data={})
     assert not run.finished
     assert read_config(run.path) == {"a": 2}
     assert json.loads((run.path / "environment.json").read_text())["command"] == "python train.py"
+    assert not (run.path / "metrics.json").exists()
+    run.check_data({"train": "file: a"})
+    with pytest.raises(ValueError, match="resume: data: expected .*file: a.* found .*simulated"):
+        run.check_data({"train": "simulated: b"})
 
 
 def test_the_environment_names_versions_and_devices():
@@ -60,7 +65,7 @@ def test_the_environment_names_versions_and_devices():
 
 
 def test_a_folder_without_a_run_is_named(tmp_path):
-    with pytest.raises(ValueError, match="resume: expected a run folder with a config.yaml, found none in"):
+    with pytest.raises(ValueError, match="run folder: expected one with a config.yaml, found none in"):
         read_config(tmp_path)
 
 

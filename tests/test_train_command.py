@@ -112,7 +112,7 @@ def test_a_sweep_leaves_a_folder_per_job(tmp_path, benchmark):
         (["+experiment=cascaded_tank", "fit.epohcs=3"], "fit.epohcs"),
         (["+experiment=cascaded_tank", "data.path=none.csv"], "none.csv"),
         ([], "physics._target_: expected +experiment=cascaded_tank"),
-        (["resume=none"], "resume: expected a run folder"),
+        (["resume=none"], "run folder: expected one with a config.yaml"),
     ],
 )
 def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, arguments, sentence):
@@ -134,9 +134,17 @@ def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, argume
         (["initial_state=guessed"], "initial_state.kind: expected zero | first_output | estimated"),
         (["initial_state=estimated", "n_init=0"], "n_init: expected at least 1 sample"),
         (["initial_state=estimated", "n_init=4000"], "n_init: expected fewer than"),
-        (["n_seeds=0"], "n_seeds: expected an integer of at least 1, found 0"),
-        (["seed=-1"], "seed: expected an integer of at least 0, found -1"),
-        (["report_n_init=[]"], "report_n_init: expected a list of sample counts"),
+        (["n_seeds=0"], "n_seeds: expected 1 to 1000000, found 0"),
+        (["seed=-1"], "seed: expected 0 to 2147483647, found -1"),
+        (["report_n_init=[]"], "report_n_init: expected a count below the 160 samples"),
+        (["report_n_init=[2000]"], "report_n_init: expected a count below the 160 samples"),
+        (["report_n_init=many"], "report_n_init: expected a list of sample counts"),
+        (["+foo=bar"], "configuration: expected the keys"),
+        (["seed=99999999999999999999"], "seed: expected 0 to"),
+        (["fit.clip_norm=-1"], "fit: clip_norm: expected a positive number, found -1"),
+        (["fit.checkpoint_seconds=abc"], "fit.checkpoint_seconds: expected float, found 'abc'"),
+        (["data.shared_initial_state=perhaps"], "data.shared_initial_state: expected bool, found 'perhaps'"),
+        (["physics.k1=2.0"], "physics 'tanks': k1: expected 0 to 1 sqrt(V)/s, found 2.0"),
         (["physics._target_=no_such.physics"], "physics._target_: expected an importable function"),
         (["physics._target_=os.getcwd"], "physics: expected the keys []"),
         (["physics.integrator=heun"], "physics: integrator: expected one of"),
@@ -200,14 +208,49 @@ def test_a_run_folder_without_a_checkpoint_is_named(tmp_path, benchmark):
     assert run.finished
 
 
+def test_a_run_resumes_on_its_own_data_alone(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark))
+    before = (run.path / "metrics.json").read_text()
+    write_benchmark(benchmark, samples=160, seed=1)
+    code, _, err = command("resume=run", "fit.epochs=9", cwd=tmp_path)
+    assert code == 2
+    assert "resume: data: expected" in err
+    assert (run.path / "metrics.json").read_text() == before
+    assert run.finished
+
+
+def test_a_run_cannot_be_resumed_to_fewer_epochs(tmp_path, benchmark):
+    trained(tmp_path / "run", *quick(benchmark))
+    code, _, err = command("resume=run", "fit.epochs=1", cwd=tmp_path)
+    assert code == 2
+    assert "resume: fit.epochs: expected at least the 2 already trained, found 1" in err
+
+
+def test_a_stop_before_training_writes_nothing(tmp_path):
+    """Ctrl-C while the data is read."""
+    (tmp_path / "slow.py").write_text(
+        "import os, signal\nfrom pgrssnn_jax.physics.tanks import cascaded_tanks\n"
+        "def physics():\n    os.kill(os.getpid(), signal.SIGINT)\n    return cascaded_tanks()\n"
+    )
+    path = write_benchmark(tmp_path / "tanks.csv", samples=160)
+    code, _, err = command(
+        "physics._target_=slow.physics", "data=cascaded_tank", f"data.path={path}", "data.n_validation=40", cwd=tmp_path
+    )
+    assert code == 130
+    assert "stopped before training; nothing was written" in err
+    assert not list(tmp_path.rglob("config.yaml"))
+
+
 def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
     run = trained(tmp_path / "run", *quick(benchmark, "data.published_scaling=true", "initial_state=zero"))
     with np.load(run.path / "predictions.npz") as arrays:
-        u, y_hat = arrays["u"][0], arrays["y_hat"][:, 0]
+        u, y_hat, x0 = arrays["u"][0], arrays["y_hat"][:, 0], arrays["x0"][0, 0]
     benchmark.unlink()
-    again = load_run(run.path).simulate(u, np.zeros(2))
+    again = load_run(run.path).simulate(u, x0)
+    with pytest.raises(ValueError, match=r"simulate: x0: expected shape \(2,\), found \(3,\)"):
+        load_run(run.path).simulate(u, np.zeros(3))
     np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
-    with pytest.raises(ValueError, match="expected a run folder"):
+    with pytest.raises(ValueError, match="run folder: expected one"):
         load_run(tmp_path)
 
 

@@ -47,7 +47,7 @@ def read_csv(
     index = np.stack([np.pad(r, (0, longest - len(r)), mode="edge") for r in rows])
     real = np.arange(longest) < np.array([[len(r)] for r in rows])
     origin = f"{Path(path).name}, sha256 {table.digest}…"
-    info = RecordInfo(tuple(inputs), tuple(outputs), float(dt), "file", origin)
+    info = RecordInfo(tuple(inputs), tuple(outputs), float(dt), "file", origin, padded=not real.all())
     return record(u[index], y[index], info, measured[index] & real[..., None])
 
 

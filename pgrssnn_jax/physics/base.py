@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
@@ -95,6 +96,13 @@ def discrete(
     for leaf in jax.tree.leaves(meanings, is_leaf=is_parameter):
         if not is_parameter(leaf):
             raise ValueError(f"physics {name!r}: parameters: expected a Parameter per number, found {leaf!r}")
+    for (path, value), leaf in zip(
+        jax.tree_util.tree_leaves_with_path(params), jax.tree.leaves(meanings, is_leaf=is_parameter), strict=True
+    ):
+        low, high = leaf.bounds
+        if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
+            key = jax.tree_util.keystr(path, simple=True, separator=".")
+            raise ValueError(f"physics {name!r}: {key}: expected {low:g} to {high:g} {leaf.unit}, found {value}")
     if reads not in ("after_step", "before_step"):
         raise ValueError(f"physics {name!r}: reads: expected after_step or before_step, found {reads!r}")
     known = {signal.name for signal in outputs}
@@ -144,8 +152,8 @@ def check_physics(physics: Any, where: str) -> None:
         except Exception as problem:
             reason = str(problem).splitlines()[0]
             raise ValueError(
-                f"physics {physics.name!r}: {name}: expected it to take params, x [{sizes['states']}] and "
-                f"u [{sizes['inputs']}], found {type(problem).__name__}: {reason}"
+                f"physics {physics.name!r}: {name}: expected it to compute with jax.numpy from params, "
+                f"x [{sizes['states']}] and u [{sizes['inputs']}], found {type(problem).__name__}: {reason}"
             ) from problem
         shape = getattr(found, "shape", found)
         if shape != (expected,):

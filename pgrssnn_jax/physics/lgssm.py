@@ -24,6 +24,16 @@ def measure(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Flo
     return p["C"] @ x
 
 
+def _matrix(name: str, rows: Any) -> Float[np.ndarray, "rows columns"]:
+    try:
+        matrix = np.asarray(rows, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.empty(0)
+    if matrix.ndim != 2:
+        raise ValueError(f"physics 'lgssm': {name}: expected rows of numbers of equal length, found {rows}")
+    return matrix
+
+
 def linear(
     *,
     A: Sequence[Sequence[float]] | np.ndarray,  # noqa: N803 - the field's symbols
@@ -37,7 +47,7 @@ def linear(
 
     Raises `ValueError` when the matrices' shapes do not fit together or with the signal names.
     """
-    a, b, c = (np.asarray(m, np.float64) for m in (A, B, C))
+    a, b, c = (_matrix(name, m) for name, m in zip("ABC", (A, B, C), strict=True))
     n_x = len(a)
     shapes = {"A": (n_x, n_x), "B": (n_x, len(inputs)), "C": (len(outputs), n_x)}
     for name, matrix in zip("ABC", (a, b, c), strict=True):
