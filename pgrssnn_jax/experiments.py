@@ -63,10 +63,9 @@ def resumed(plan: Plan, run: RunFolder) -> Checkpoint:
     finally:
         checkpoints.close()
     run.check_data(_origins(plan))
-    for name in ("scaling", "units"):
-        now, before = (jax.tree.leaves(tree) for tree in (getattr(plan.data, name, plan.units), getattr(found, name)))
-        if not all(np.allclose(a, b, rtol=1e-4) for a, b in zip(now, before, strict=True)):
-            raise ValueError(f"resume: data: expected the {name} that the run began with, found that of other data")
+    now, before = jax.tree.leaves((plan.data.scaling, plan.units)), jax.tree.leaves((found.scaling, found.units))
+    if not all(np.allclose(a, b, rtol=1e-4) for a, b in zip(now, before, strict=True)):
+        raise ValueError("resume: data: expected the scaling that the run began with, found that of other data")
     if found.losses.epochs > plan.fit.settings.epochs:
         raise ValueError(
             f"resume: fit.epochs: expected at least the {found.losses.epochs} already trained, "

@@ -232,7 +232,7 @@ def _report_n_init(wanted: Any, initial: InitialState, test: Record) -> list[int
     if not isinstance(wanted, list) or not all(type(n) is int and n >= 0 for n in wanted):
         raise ValueError(f"report_n_init: expected a list of sample counts like [0, 5, 50], found {wanted!r}")
     used = 0 if initial.shared else {"zero": 0, "first_output": 1, "estimated": initial.n_init}[initial.kind]
-    windows = sorted({max(n, used) for n in wanted if max(n, used) < time}, key=[max(n, used) for n in wanted].index)
+    windows = list(dict.fromkeys(max(n, used) for n in wanted if max(n, used) < time))
     if not windows:
         raise ValueError(
             f"report_n_init: expected a count below the {time} samples of the test record"
