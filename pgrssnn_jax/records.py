@@ -5,7 +5,7 @@ A `Record` holds the inputs and outputs of one or more sequences of equal length
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -141,8 +141,3 @@ def take(stacked: Record, index: int | np.ndarray) -> Record:
 def cast(whole: Record, dtype: DTypeLike) -> Record:
     """The same record with u and y in `dtype`: the one place where the precision of data changes."""
     return whole._replace(u=np.asarray(whole.u, dtype), y=np.asarray(whole.y, dtype))
-
-
-def relabel(whole: Record, source: str, origin: str) -> Record:
-    """The same signals with another statement of where they came from."""
-    return whole._replace(info=replace(whole.info, source=source, origin=origin))

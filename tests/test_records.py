@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from toys import small_record
 
-from pgrssnn_jax.records import Channel, RecordInfo, cast, crop, record, relabel, stack, take, windows
+from pgrssnn_jax.records import Channel, RecordInfo, cast, crop, record, stack, take, windows
 
 INFO = RecordInfo((Channel("f", "N"), Channel("g")), (Channel("p", "m"),), 0.1, "file", "somewhere")
 
@@ -158,14 +157,6 @@ def test_cast_changes_precision_and_nothing_else():
     assert (half.u.dtype, half.y.dtype, half.mask.dtype) == (np.float32, np.float32, np.bool_)
     np.testing.assert_array_equal(half.u, whole.u.astype(np.float32))
     assert half.info is INFO
-
-
-def test_relabel_changes_the_source_and_nothing_else():
-    whole = record(*signals(), INFO)
-    named = relabel(whole, "simulated", "elsewhere")
-    assert named.info == replace(INFO, source="simulated", origin="elsewhere")
-    assert whole.info == INFO
-    assert named.u is whole.u
 
 
 def test_a_record_passes_through_jit_and_vmap_with_its_info():
