@@ -26,7 +26,7 @@ from pgrssnn_jax.members import keys_of, map_members
 from pgrssnn_jax.plan import Plan, loose, plain, plan_training
 from pgrssnn_jax.progress import training_bar
 from pgrssnn_jax.records import take
-from pgrssnn_jax.reports.tables import member_table, summary_table
+from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
 from pgrssnn_jax.reports.write import write_report
 from pgrssnn_jax.resume import resume_config
 from pgrssnn_jax.runs import RunFolder, discard_if_empty, read_config, shown
@@ -120,7 +120,10 @@ def train_run(
     run.write_json("metrics.json", metrics)
     write_report(run)
     run.finish()
-    console.print(member_table(metrics), summary_table(metrics))
+    console.print(member_table(metrics))
+    if len(metrics["outputs"]) > 1:
+        console.print(output_table(metrics))
+    console.print(summary_table(metrics))
     console.print(f"run folder: {shown(run.path)}   page: {shown(run.path / 'report.html')}", soft_wrap=True)
 
 
@@ -165,17 +168,17 @@ def _evaluated(
         plan.members, state, predictions, validation=validation, test=test, n_inits=plan.report_n_init
     )
     mean, deviation = evaluate.ensemble(rows, test, predictions)
-    info = test.info
+    info, physics = test.info, plan.fit.objective.model.physics
     seconds = {**seconds, "evaluate": time.perf_counter() - started}
     metrics = {
         "schema": 1,
-        "system": plan.fit.objective.model.physics.name,
+        "system": physics.name,
         "model": plan.config["model"]["name"],
         "data": plan.config["data"]["name"],
         "source": info.source,
         "origin": info.origin,
         "n_init": plan.report_n_init[0],
-        "dt": plan.fit.objective.model.physics.dt,
+        "dt": physics.dt,
         "outputs": [channel._asdict() for channel in info.outputs],
         "members": rows,
         "summary": evaluate.summary(rows, test, mean, plan.report_n_init),
@@ -192,4 +195,7 @@ def _evaluated(
         "dataset": datasets,
         "x0": predictions.x0,
     }
+    if physics.skeleton is not None:
+        poses = {"measured": test.y[0], "predicted": evaluate.shown(rows, predictions, mean)}
+        arrays |= {f"skeleton_{name}": physics.skeleton(y).astype(np.float32) for name, y in poses.items()}
     return metrics, arrays

@@ -1,6 +1,7 @@
 """Where a free run starts: x_0 of every sequence.
 
 zero          x_0 = 0 in physical units (the published convention)
+scaled_zero   x_0 = 0 in the networks' units, that is the states' offset (the published code, where states have one)
 first_output  states that are `like` an output take its first measured value, the others 0
 estimated     training: x_0 is trained with the weights; validation: least squares on its first n_init samples
 
@@ -31,7 +32,7 @@ class InitialState:
     """kind as above; n_init: first samples of a record from which its start is estimated; shared: the test record
     starts where the (first) training sequence does."""
 
-    kind: Literal["zero", "first_output", "estimated"] = "zero"
+    kind: Literal["zero", "scaled_zero", "first_output", "estimated"] = "zero"
     n_init: int = 0
     shared: bool = False
 
@@ -46,6 +47,9 @@ def start_state(model: Model, params: ModelParams, record: Record, initial: Init
     """x_0 of every sequence of `record` from the record itself, in physical units."""
     if initial.kind == "zero":
         return jnp.zeros((record.u.shape[0], model.n_x), record.u.dtype)
+    if initial.kind == "scaled_zero":
+        offset = jnp.asarray(params.scaling.x.offset, record.u.dtype)
+        return jnp.broadcast_to(offset, (record.u.shape[0], model.n_x))
     guess = first_output_states(model, record)
     return guess if initial.kind == "first_output" else _estimate(model, params, record, initial.n_init, guess)
 

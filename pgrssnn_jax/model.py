@@ -70,9 +70,10 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
     return Model(spec, physics, graph, lambda key: nnx.state(create(key), nnx.Param))
 
 
-def model_scaling(model: Model, train: Record) -> Scaling:
+def model_scaling(model: Model, train: Record, *, rates_like_outputs: bool = False) -> Scaling:
     """Scaling of this model's signals from one training record; a black box's states are left as they are."""
-    scaling = fit_scaling(train, model.physics if model.spec.guided else None)
+    physics = model.physics if model.spec.guided else None
+    scaling = fit_scaling(train, physics, rates_like_outputs=rates_like_outputs)
     return scaling if model.spec.guided else scaling._replace(x=identity(model.n_x))
 
 

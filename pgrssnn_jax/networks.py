@@ -28,7 +28,8 @@ class ModelSpec:
     guided: physics in f and g; networks: False leaves the physics alone; recurrent: a GRU, else dense layers only
     (FC); feedback: x_{t-1} goes into φ_u; hidden: n_h; gru_layers: stacked GRUs, the last one's state is used;
     gru_bias: biases in the GRU (published: none); start_from_physics: output heads start at zero, so that the
-    untrained model is the physics.
+    untrained model is the physics; correction: f_nn is multiplied by it (published: 1). A physics that integrates
+    piles up what is added at every step, so that a small fraction of a state's scale is enough.
     """
 
     guided: bool = True
@@ -40,6 +41,7 @@ class ModelSpec:
     gru_layers: int = 1
     gru_bias: bool = False
     start_from_physics: bool = False
+    correction: float = 1.0
 
 
 def _uniform_fan_in(fan_in: int) -> nnx.Initializer:
@@ -73,6 +75,7 @@ class Networks(nnx.Module):
 
     def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs) -> None:
         n_h, act = spec.hidden, spec.activation
+        self.correction = spec.correction
         n_mixed = 2 * n_h if spec.recurrent else n_h
         zero = spec.start_from_physics
         self.features_u = TwoDense(n_u + (n_x if spec.feedback else 0), n_h, n_h, act, rngs=rngs)
@@ -86,7 +89,7 @@ class Networks(nnx.Module):
     def f_nn(self, h: Float[jax.Array, "*batch hidden"] | None, phi: Float[jax.Array, "*batch hidden"]) -> jax.Array:
         """State correction from the GRU state *before* it saw u_t (None without a GRU) and φ_u."""
         mixed = phi if h is None else jnp.concatenate([h, phi], -1)
-        return self.head_x(self.mixer(mixed))
+        return self.correction * self.head_x(self.mixer(mixed))
 
     def g_nn(self, x: Float[jax.Array, "*batch x"], u: Float[jax.Array, "*batch u"]) -> jax.Array:
         return self.head_y(self.features_x(jnp.concatenate([u, x], -1)))

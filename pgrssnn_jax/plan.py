@@ -13,20 +13,23 @@ from omegaconf import DictConfig, OmegaConf
 from pgrssnn_jax import members
 from pgrssnn_jax.datasets.csv import load_csv
 from pgrssnn_jax.datasets.lgssm import load_lgssm
+from pgrssnn_jax.datasets.robot import load_robot_real, load_robot_simulated
 from pgrssnn_jax.datasets.tanks import load_cascaded_tank
 from pgrssnn_jax.fit import Fit, FitSettings
 from pgrssnn_jax.initial_state import InitialState
-from pgrssnn_jax.model import Model, build_model, model_scaling
+from pgrssnn_jax.model import build_model, model_scaling
 from pgrssnn_jax.networks import ModelSpec
 from pgrssnn_jax.objective import MemberData, build_objective
-from pgrssnn_jax.physics.base import Physics, check_physics
+from pgrssnn_jax.physics.base import Physics, Signal, check_physics
 from pgrssnn_jax.records import Record, Splits, cast, take
-from pgrssnn_jax.scaling import Units, measured_units, standardise
+from pgrssnn_jax.scaling import Scaling, Units, measured_units, standardise
 from pgrssnn_jax.settings import call_with
 
 LOADERS: dict[str, Callable[..., Splits]] = {
     "cascaded_tank": load_cascaded_tank,
     "lgssm": load_lgssm,
+    "robot_real": load_robot_real,
+    "robot_simulated": load_robot_simulated,
     "csv": load_csv,
 }
 _KEYS = {
@@ -85,11 +88,18 @@ def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> P
     fit = plan_fit(config)
     model, initial = fit.objective.model, fit.objective.initial
     splits = load_splits(config["data"], model.physics, notify)
-    _check_records(splits, initial)
-    worked_on, units = _published_scaling(config["data"], splits)
+    _check_records(splits, initial, model.physics)
+    published = _conventions(config["data"]).published_scaling
+    rates_like_outputs = published and _has_rates(model.physics)
+    standardised = published and not rates_like_outputs
+    worked_on, units = standardise(splits) if standardised else (splits, measured_units(splits))
     chosen = _members(config, len(splits.train.u), seeds_differ=model.graph is not None)
     datasets = np.array([member.dataset for member in chosen])
-    data, test = _member_data(model, worked_on, datasets, fit.settings.epochs)
+    scalings = [
+        model_scaling(model, take(worked_on.train, i), rates_like_outputs=rates_like_outputs)
+        for i in range(len(splits.train.u))
+    ]
+    data, test = _member_data(scalings, worked_on, datasets, fit.settings.epochs)
     return Plan(
         config=dict(config),
         fit=fit,
@@ -108,8 +118,11 @@ def plan_fit(config: Mapping[str, Any]) -> Fit:
     spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
     model = build_model(spec, load_physics(config["physics"]))
     settings = call_with(FitSettings, config["fit"], "fit")
-    shared = _conventions(config["data"]).shared_initial_state
-    start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
+    conventions = _conventions(config["data"])
+    kind = config["initial_state"]
+    if kind == "zero" and conventions.published_scaling and _has_rates(model.physics):
+        kind = "scaled_zero"  # the published code starts there
+    start = {"kind": kind, "n_init": config["n_init"], "shared": conventions.shared_initial_state}
     initial = call_with(InitialState, start, "initial_state")
     train_physics = settings.physics_parameters == "trained"
     return Fit(build_objective(model, initial, train_physics=train_physics), settings)
@@ -190,8 +203,10 @@ def _without(group: Mapping[str, Any], *names: str) -> dict[str, Any]:
     return {key: value for key, value in group.items() if key not in names}
 
 
-def _published_scaling(group: Mapping[str, Any], splits: Splits) -> tuple[Splits, Units]:
-    return standardise(splits) if _conventions(group).published_scaling else (splits, measured_units(splits))
+def _has_rates(physics: Physics) -> bool:
+    """The published code standardises signals before the physics sees them where its states are no rates (LGSSM), and
+    only the networks' signals, rates in the units of the positions, where some are (the arm)."""
+    return any(state.rate_of for state in physics.states)
 
 
 def _conventions(group: Mapping[str, Any]) -> DataConventions:
@@ -205,18 +220,21 @@ def _members(config: Mapping[str, Any], n_datasets: int, *, seeds_differ: bool) 
     return [members.Member(seeds.seed + i, dataset) for dataset in range(n_datasets) for i in range(count)]
 
 
-def _member_data(model: Model, splits: Splits, datasets: np.ndarray, epochs: int) -> tuple[MemberData, Record]:
+def _member_data(
+    scalings: list[Scaling], splits: Splits, datasets: np.ndarray, epochs: int
+) -> tuple[MemberData, Record]:
     """Records and scaling of every member, in float32: the precision of the networks."""
-    scalings = [model_scaling(model, take(splits.train, i)) for i in range(len(splits.train.u))]
     stacked = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
     train, validation, test = (cast(take(record, datasets), np.float32) for record in splits)
     last_epoch = np.full(len(datasets), epochs, np.int32)
     return MemberData(train, validation, stacked, last_epoch), test
 
 
-def _check_records(splits: Splits, initial: InitialState) -> None:
+def _check_records(splits: Splits, initial: InitialState, physics: Physics) -> None:
     for name, record in zip(Splits._fields, splits, strict=True):
         time = record.u.shape[2]
+        for k, signal in enumerate(physics.outputs):
+            _check_range(f"data: {name}", signal, np.asarray(record.y)[..., k][np.asarray(record.mask)[..., k]])
         for signal in (record.u, np.where(record.mask, record.y, 0.0)):
             if (largest := np.abs(signal).max()) > _LARGEST:
                 raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
@@ -226,12 +244,21 @@ def _check_records(splits: Splits, initial: InitialState) -> None:
             )
 
 
+def _check_range(where: str, signal: Signal, values: np.ndarray) -> None:
+    low, high = signal.range
+    if values.size and not (low <= values.min() and values.max() <= high):
+        raise ValueError(
+            f"{where}: {signal.name}: expected {low:.3g} to {high:.3g} {signal.unit}, found values from "
+            f"{values.min():.3g} to {values.max():.3g}: are they in {signal.unit}?"
+        )
+
+
 def _report_n_init(wanted: Any, initial: InitialState, test: Record) -> list[int]:
     """The windows to report; test samples from which the initial state was found never count in the main figure."""
     time = test.u.shape[2]
     if not isinstance(wanted, list) or not all(type(n) is int and n >= 0 for n in wanted):
         raise ValueError(f"report_n_init: expected a list of sample counts like [0, 5, 50], found {wanted!r}")
-    used = 0 if initial.shared else {"zero": 0, "first_output": 1, "estimated": initial.n_init}[initial.kind]
+    used = 0 if initial.shared else {"first_output": 1, "estimated": initial.n_init}.get(initial.kind, 0)
     windows = list(dict.fromkeys(max(n, used) for n in wanted if max(n, used) < time))
     if not windows:
         raise ValueError(

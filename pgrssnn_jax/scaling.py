@@ -3,7 +3,7 @@
     physical = offset + scale · scaled
 
 u and y: mean and standard deviation of the training record. x: a state that is `like` an output shares that
-output's scaling; a `rate_of` an output is scaled by the standard deviation of its differences; any other state by
+output's scaling; a `rate_of` an output is scaled by the size of its differences; any other state by
 a simulation of the physics over the training inputs. A constant channel keeps scale 1.
 """
 
@@ -67,28 +67,42 @@ def signal_scaling(train: Record) -> tuple[Affine, Affine]:
     )
 
 
-def fit_scaling(train: Record, physics: Physics | None) -> Scaling:
+def fit_scaling(train: Record, physics: Physics | None, *, rates_like_outputs: bool = False) -> Scaling:
     """Scaling of all signals from one training record `[seq, time, channel]`.
 
     physics None (black box): states have no unit, their scaling is the identity and its width is not known
-    here, so x is returned empty.
+    here, so x is returned empty. rates_like_outputs: a `rate_of` an output takes that output's scaling, offset
+    included, as in the published code.
     """
     u, y = signal_scaling(train)
     if physics is None:
         return Scaling(u, identity(0), y)
     outputs = [signal.name for signal in physics.outputs]
     simulated = _simulated_states(train, physics)
-    rates = np.diff(np.where(train.mask, train.y, np.nan), axis=1) / physics.dt
     offset, scale = simulated.mean(0), simulated.std(0)
     for i, state in enumerate(physics.states):
-        if state.like is not None:
-            j = outputs.index(state.like)
+        same = state.like or (state.rate_of if rates_like_outputs else None)
+        if same is not None:
+            j = outputs.index(same)
             offset[i], scale[i] = y.offset[j], y.scale[j]
         elif state.rate_of is not None:
-            rate = rates[..., outputs.index(state.rate_of)]
-            rate = rate[np.isfinite(rate)]
-            offset[i], scale[i] = 0.0, rate.std() if rate.size else 1.0
+            j = outputs.index(state.rate_of)
+            offset[i], scale[i] = 0.0, _rate_scale(np.where(train.mask, train.y, np.nan)[..., j], physics.dt)
     return Scaling(u, _affine(offset, scale), y)
+
+
+def _rate_scale(y: Float[np.ndarray, "seq time"], dt: float) -> float:
+    """Size of dy/dt without what white measurement noise adds to differences; 1 where nothing can be said.
+
+    E(y_{t+k} - y_t)² is about (k dt)² E(dy/dt)² + 2 σ² for small k, and the difference of k = 2 and k = 1 knows no σ.
+    """
+    one, two = (y[:, k:] - y[:, :-k] for k in (1, 2))
+    one, two = one[np.isfinite(one)], two[np.isfinite(two)]
+    if not one.size or not two.size:
+        return float(one.std() / dt) if one.size else 1.0
+    squared = (np.mean(two**2) - np.mean(one**2)) / 3.0
+    # slow signals under strong noise: what is left is an accident, and a tenth of the noisy size stands in
+    return float(np.sqrt(max(squared, 0.01 * np.mean(one**2))) / dt)
 
 
 def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "samples x"]:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.datasets.sources import VARIABLE, check_count, data_folder, fingerprint, say_nothing
+from pgrssnn_jax.datasets.sources import check_count, fingerprint, published_folder, say_nothing
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records import Array, Channel, Record, RecordInfo, Splits, record, stack, windows
 
@@ -82,7 +82,7 @@ def load_lgssm(
         check_count(f"data.{name}", count, 1, 10**9, "samples")
     if window is not None:
         check_count("data.window", window, 1, n_train, "training samples")
-    folder = None if generated else _folder(path, seed, notify)
+    folder = None if generated else published_folder(_FOLDER, path, seed, notify)
     if folder is None:
         raw, source, origin = _generate(realisations, wanted, seed), "simulated", f"generated, seed {seed}"
     else:
@@ -102,21 +102,6 @@ def _repeat(whole: Record, times: int) -> Record:
         return np.broadcast_to(a, (times, *a.shape))
 
     return whole._replace(u=repeat(whole.u), y=repeat(whole.y), mask=repeat(whole.mask))
-
-
-def _folder(path: str | Path | None, seed: int, notify: Callable[[str], None]) -> Path | None:
-    """Where the published files are; None if nowhere."""
-    if path is not None:
-        folder = Path(path).expanduser()
-        if not folder.is_dir():
-            raise ValueError(f"data.path: expected the folder of the published files, found no folder: {path}")
-        return folder
-    root = data_folder()
-    if root is not None and (root / _FOLDER).is_dir():
-        return root / _FOLDER
-    reason = f"{VARIABLE} is not set" if root is None else f"no folder {_FOLDER} under {VARIABLE}"
-    notify(f"data: NO PUBLISHED DATA, GENERATING THE REALISATIONS (seed {seed}): {reason}")
-    return None
 
 
 def _generate(realisations: int, wanted: _Wanted, seed: int) -> _Raw:

@@ -20,6 +20,7 @@ from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
 
 Params = Any
 Step = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " x"]]
+Skeleton = Callable[[Float[np.ndarray, "*batch y"]], Float[np.ndarray, "*batch points 3"]]
 Measure = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " y"]]
 
 
@@ -41,17 +42,21 @@ class Signal(NamedTuple):
     """One state, input or output.
 
     A state may say which output it resembles: `like` an output shares that output's scale and its first
-    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start.
+    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start. range: beyond it a
+    value must be in another unit (degrees for rad); data are checked against it.
     """
 
     name: str
     unit: str = ""
     like: str | None = None
     rate_of: str | None = None
+    range: tuple[float, float] = (-float("inf"), float("inf"))
 
 
 class Physics(NamedTuple):
-    """Known physics. `parameters` has the shape of `params`, leaf for leaf."""
+    """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
+    pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
+    there is nothing to draw."""
 
     name: str
     step: Step
@@ -63,6 +68,7 @@ class Physics(NamedTuple):
     outputs: tuple[Signal, ...]
     dt: float
     reads: Literal["after_step", "before_step"] = "after_step"
+    skeleton: Skeleton | None = None
 
 
 def is_parameter(leaf: object) -> bool:
@@ -81,6 +87,7 @@ def discrete(
     dt: float,
     parameters: Mapping[str, Any] | None = None,
     reads: Literal["after_step", "before_step"] = "after_step",
+    skeleton: Skeleton | None = None,
 ) -> Physics:
     """A `Physics` from x_t = step(params, x_{t-1}, u_t).
 
@@ -114,7 +121,7 @@ def discrete(
                 )
     if not dt > 0:
         raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
-    return Physics(name, step, measure, dict(params), meanings, states, inputs, outputs, float(dt), reads)
+    return Physics(name, step, measure, dict(params), meanings, states, inputs, outputs, float(dt), reads, skeleton)
 
 
 def continuous(

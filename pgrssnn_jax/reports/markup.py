@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pgrssnn_jax.reports import content, tables
 from pgrssnn_jax.reports.content import MISSING, MemberRow, Metrics, Number, SummaryRow, rounded
+from pgrssnn_jax.reports.tables import OutputRow
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -61,6 +62,17 @@ def member_table(metrics: Metrics, limit: int) -> str:
     return f"{table(header, short)}<details><summary>All {len(rows)} members</summary>{whole}</details>\n"
 
 
+def output_table(metrics: Metrics) -> str:
+    """One row per output."""
+    header = tables.OUTPUT_HEADER
+
+    def one(r: OutputRow) -> str:
+        words = [escape(cell) for cell in tables.output_cells(r)]
+        return row(header, [*words[:2], *map(number, (r.rmse, r.nrmse, r.fit_percent, r.cc))])
+
+    return table(header, [one(r) for r in tables.output_rows(metrics)])
+
+
 def image(path: Path, alt: str) -> str:
     """A PNG file as an element that holds the file itself."""
     raw = path.read_bytes() if path.is_file() else b""
@@ -77,5 +89,5 @@ def folded(title: str, text: str) -> str:
 
 
 def _cell(tag: str, inner: str, name: str) -> str:
-    words = ' class="words"' if name in ("status", "reason") else ""
+    words = ' class="words"' if name in ("status", "reason", "output", "unit") else ""
     return f"<{tag}{words}>{inner}</{tag}>"

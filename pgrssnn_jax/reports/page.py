@@ -33,18 +33,20 @@ def write_page(
     figures: Mapping[str, str | Path],
     config_text: str,
     environment: Mapping[str, Any],
+    animation: str = "",
 ) -> None:
     """Writes the report of one run to `path`.
 
-    figures: title → PNG file, in the order of the page. Raises `ValueError` if a figure is not a PNG file; then, as
-    after any other failure, a page that stood at `path` is still there.
+    figures: title → PNG file, in the order of the page; animation: what `stick_animation` returned, taken over as it
+    is, to stand below the figure "Arm", or below all figures where there is none. Raises `ValueError` if a figure is
+    not a PNG file; then, as after any other failure, a page that stood at `path` is still there.
     """
     sections = [
         _header(metrics),
         _banners(metrics),
         _cards(metrics),
         _index(figures),
-        _figures(figures),
+        _figures(figures, animation),
         _numbers(metrics, history),
         _reproduce(config_text, environment),
     ]
@@ -84,7 +86,8 @@ def _header(metrics: Metrics) -> str:
     lead = f"{summary['finished']} of {summary['planned']} planned members finished"
     if math.isfinite(head.mean):
         lead += f"; test {content.merit(metrics)} {content.plus_minus(head.mean, head.std, unit)} over members"
-        lead += f", {rounded(head.ensemble, unit)} for their ensemble."
+        lead += f", {rounded(head.ensemble, unit)} for their ensemble"
+        lead += f"; NRMSE {rounded(head.nrmse)} over members." if len(metrics["outputs"]) > 1 else "."
     else:
         lead += "; there is no figure of merit."
     facts = [content.source(metrics), f"outputs: {outputs}", f"one sample every {metrics['dt']:g} s"]
@@ -118,11 +121,12 @@ def _cards(metrics: Metrics) -> str:
     mean = number(head.mean) + (f' <span class="unit">± {number(head.std, spread)}</span>' if spread else "")
     phases = ", ".join(f"{name} {content.duration(value)}" for name, value in seconds.items() if name != "total")
     failed = f"{summary['failed']} failed"
+    several = f"mean of {len(metrics['outputs'])} outputs; " if len(metrics["outputs"]) > 1 else ""
     cards = [
         ("RMSE, mean ± std", mean + unit, f"median {rounded(head.median, content.unit(metrics))}"),
         ("RMSE, best", number(head.best) + unit, _best_seed(metrics)),
         ("RMSE, ensemble", number(head.ensemble) + unit, "error of the mean prediction"),
-        ("NRMSE, mean", number(head.nrmse), "RMSE / std of the measured output"),
+        ("NRMSE, mean", number(head.nrmse), f"{several}RMSE / std of the measured output"),
         ("members finished", f"{number(summary['finished'])} / {number(summary['planned'])}", failed),
         ("time", number(seconds.get("total"), content.duration(seconds.get("total"))), phases),
     ]
@@ -145,25 +149,35 @@ def _index(figures: Mapping[str, str | Path]) -> str:
     return f'<nav aria-label="Contents"><ul>{items}</ul></nav>\n'
 
 
-def _figures(figures: Mapping[str, str | Path]) -> str:
-    blocks = "<h2>Figures</h2>\n" if figures else ""
+def _figures(figures: Mapping[str, str | Path], animation: str) -> str:
+    blocks = "<h2>Figures</h2>\n" if figures or animation else ""
+    moving = _figure("", "moving", animation, "The arm in motion", CAPTIONS["Animation"]) if animation else ""
     for k, (title, path) in enumerate(figures.items(), 1):
         caption = next((text for name, text in CAPTIONS.items() if title.startswith(name)), "")
-        blocks += (
-            f'<figure id="figure-{k}">{markup.image(Path(path), title)}'
-            f"<figcaption><strong>Figure {k}. {escape(title)}.</strong> {escape(caption)}</figcaption></figure>\n"
-        )
-    return blocks
+        blocks += _figure(f"figure-{k}", "", markup.image(Path(path), title), f"Figure {k}. {title}", caption)
+        if title.startswith("Arm"):
+            blocks, moving = blocks + moving, ""
+    return blocks + moving
+
+
+def _figure(anchor: str, look: str, picture: str, title: str, caption: str) -> str:
+    named = "".join(f' {name}="{value}"' for name, value in (("id", anchor), ("class", look)) if value)
+    words = f"<strong>{escape(title)}.</strong> {escape(caption)}"
+    return f"<figure{named}>{picture}<figcaption>{words}</figcaption></figure>\n"
 
 
 def _numbers(metrics: Metrics, history: pd.DataFrame) -> str:
     several = len(metrics["outputs"]) > 1
     note = "Figures of one member are means over the outputs. " if several else ""
+    by_output = (
+        f"<h3>Output by output: {escape(tables.OUTPUT_TITLE)}</h3>\n{markup.output_table(metrics)}" if several else ""
+    )
     return (
         f'<h2 id="numbers">Numbers</h2>\n<h3>All members: {escape(tables.summary_title(metrics))}</h3>\n'
         f"{markup.summary_table(metrics)}"
         f'<p class="note">{note}n_init: first samples of every sequence that do not count; the row of this run is bold.'
         f" Members: {escape(content.counts(metrics))}. {escape(_training(history))}</p>\n"
+        f"{by_output}"
         f'<h3 id="members">One by one: {escape(tables.member_title(metrics))}</h3>\n'
         f"{markup.member_table(metrics, SHOWN_MEMBERS)}"
     )

@@ -61,10 +61,12 @@ def prediction_figure(
     figure = style.page(
         11.0, body, metrics, [_result(metrics), f"{shown.remark}{extent}{of_which} · {content.source(metrics)}"]
     )
-    grid = figure.add_gridspec(rows, columns)
+    # Every other row and column of the grid is room between the pairs.
+    apart = {"width_ratios": [1.0, 0.012] * (columns - 1) + [1.0], "height_ratios": [1.0, 0.03] * (rows - 1) + [1.0]}
+    grid = figure.add_gridspec(2 * rows - 1, 2 * columns - 1, **apart)
     aligned: list[list[Axes]] = [[] for _ in range(columns)]
     for k in range(n_y):
-        inner = grid[k // columns, k % columns].subgridspec(len(ratios), 1, height_ratios=ratios)
+        inner = grid[k // columns * 2, k % columns * 2].subgridspec(len(ratios), 1, height_ratios=ratios, hspace=0.0)
         top = figure.add_subplot(inner[0])
         under = figure.add_subplot(inner[1], sharex=top)
         aligned[k % columns] += [top, under]

@@ -34,7 +34,7 @@ a { color: var(--blue); text-underline-offset: 0.15em; }
 nav ul { display: flex; flex-wrap: wrap; gap: 0.3rem 1.4rem; list-style: none; margin: 0; padding: 0.7rem 0;
   border-block: 1px solid var(--line); font-size: 0.95rem; }
 figure { margin: 0 0 1.8rem; }
-figure img { display: block; width: 100%; height: auto; background: #ffffff; border: 1px solid var(--line);
+figure img, figure svg { display: block; width: 100%; height: auto; background: #ffffff; border: 1px solid var(--line);
   border-radius: 10px; padding: 0.5rem; }
 figcaption { margin: 0.55rem 0.2rem 0; max-width: 75ch; }
 figcaption strong { color: var(--ink); }
@@ -53,6 +53,8 @@ pre { background: var(--code); border-radius: 8px; padding: 0.9rem 1rem; overflo
   font: 0.85rem/1.5 ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono", monospace; }
 footer { margin-top: 3rem; border-top: 1px solid var(--line); padding-top: 0.8rem; }
 @media (max-width: 560px) { h1 { font-size: 1.55rem; } main { padding: 1.2rem 0.8rem 2rem; }
-  figure img { padding: 0.15rem; } }
-@media print { body { background: #ffffff; } figure, .card, tr { break-inside: avoid; } nav { display: none; } }
+  figure img, figure svg { padding: 0.15rem; } }
+@media (prefers-reduced-motion: reduce) { .moving { display: none; } }
+@media print { body { background: #ffffff; } figure, .card, tr { break-inside: avoid; }
+  nav, .moving { display: none; } }
 """

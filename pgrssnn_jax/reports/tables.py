@@ -22,8 +22,21 @@ class Selection(NamedTuple):
     left_out_failed: int
 
 
+class OutputRow(NamedTuple):
+    """One output on the test record: means over finished members, NaN where there is none."""
+
+    name: str
+    unit: str
+    rmse: float
+    nrmse: float
+    fit_percent: float
+    cc: float
+
+
 SUMMARY_HEADER = ("n_init", "mean", "std", "median", "best", "ensemble", "NRMSE mean")
 MEMBER_HEADER = ("seed", "dataset", "status", "best epoch", "RMSE", "NRMSE", "fit %", "CC", "reason")
+OUTPUT_TITLE = "test record, means over finished members"
+OUTPUT_HEADER = ("output", "unit", "RMSE", "NRMSE", "fit %", "CC")
 
 
 def summary_title(metrics: Metrics) -> str:
@@ -43,6 +56,21 @@ def member_cells(row: MemberRow) -> list[str]:
     figures = (rounded(value) for value in (row.rmse, row.nrmse, row.fit_percent, row.cc))
     epoch = MISSING if row.best_epoch is None else str(row.best_epoch)
     return [str(row.seed), str(row.dataset), "failed" if row.failed else "ok", epoch, *figures, row.reason]
+
+
+def output_rows(metrics: Metrics) -> list[OutputRow]:
+    """The outputs in the order of `metrics.json`."""
+    tests = [member["test"] for member in metrics["members"] if member.get("test")]
+
+    def row(k: int, output: Metrics) -> OutputRow:
+        merits = (content.over_outputs([test[name][k] for test in tests]) for name in OutputRow._fields[2:])
+        return OutputRow(output["name"], output.get("unit", ""), *merits)
+
+    return [row(k, output) for k, output in enumerate(metrics["outputs"])]
+
+
+def output_cells(row: OutputRow) -> list[str]:
+    return [row.name, row.unit or MISSING, *(rounded(value) for value in row[2:])]
 
 
 def select(rows: Sequence[MemberRow], limit: int) -> Selection:
@@ -96,6 +124,15 @@ def member_table(metrics: Metrics, limit: int = 12) -> Table:
     return table
 
 
+def output_table(metrics: Metrics) -> Table:
+    """One row per output; of one output alone the other tables say as much."""
+    footer = f"members: {content.counts(metrics)}\n{content.source(metrics)}"
+    table = _table(f"{content.heading(metrics)} · outputs; {OUTPUT_TITLE}", OUTPUT_HEADER, footer)
+    for row in output_rows(metrics):
+        table.add_row(*map(Text, output_cells(row)))
+    return table
+
+
 def markdown_summary(metrics: Metrics) -> str:
     """The summary table as Markdown, with the counts of members and the source of the data below it."""
     lines = [f"### {_one_line(content.heading(metrics))}: {summary_title(metrics)}", "", _pipes(SUMMARY_HEADER)]
@@ -117,7 +154,7 @@ def _table(title: str, header: Sequence[str], footer: str) -> Table:
     table = Table(title=Text(title, "bold"), caption=Text(footer), box=box.SIMPLE_HEAD, collapse_padding=True)
     table.title_justify = table.caption_justify = "left"
     for name in header:
-        table.add_column(Text(name), justify="left" if name == "status" else "right", no_wrap=True)
+        table.add_column(Text(name), justify="left" if name in ("status", "output", "unit") else "right", no_wrap=True)
     return table
 
 

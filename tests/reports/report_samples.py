@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from pgrssnn_jax import metrics as merits
 
@@ -51,6 +52,29 @@ def arm(members: int = 5, samples: int = 605, sequences: int = 6, failed: tuple[
     outputs = [{"name": f"position_{j}", "unit": "rad"} for j in range(1, 7)]
     system = {"system": "arm", "outputs": outputs, "dt": 0.1, "source": "file", "origin": "KUKA KR300, published"}
     return _run(rng, y, error, failed, {**system, **changes})
+
+
+def with_skeleton(run: Run) -> Run:
+    """The run with the poses of a six-axis arm of 2.7 m that moves as its outputs say."""
+    poses = (_skeleton(run.predictions[name]) for name in ("y", "ensemble_mean"))
+    return run._replace(
+        predictions=run.predictions | dict(zip(("skeleton_measured", "skeleton_predicted"), poses, strict=True))
+    )
+
+
+def _skeleton(y: np.ndarray) -> np.ndarray:
+    """Base, six joints, tip `[seq, time, 8, 3]`: swivel, shoulder, elbow and three wrist joints in one place."""
+    middle, swing = np.array([0.3, -1.0, 1.1, 0.0, 0.4, 0.0]), np.array([1.3, 0.5, 0.5, 1.0, 0.8, 1.0])
+    missing = ~np.isfinite(y).all(-1)
+    angles = (middle + swing * np.tanh(np.where(missing[..., None], 0.0, y) / 3)).reshape(-1, 6)
+    links = [(0, 0, 0.3), (0.35, 0, 0.375), (1.15, 0, 0), (1.0, 0, 0.04), (0, 0, 0), (0, 0, 0), (0.24, 0, 0.1)]
+    turned, points = np.broadcast_to(np.eye(3), (len(angles), 3, 3)), [np.zeros((len(angles), 3))]
+    for j, link in enumerate(links):
+        points.append(points[-1] + turned @ np.array(link, float))
+        if j < 6:
+            turned = turned @ Rotation.from_euler("zyyxyx"[j], angles[:, j : j + 1]).as_matrix()
+    poses = np.stack(points, 1).reshape(*y.shape[:2], 8, 3)
+    return np.where(missing[..., None, None], np.nan, poses).astype(np.float32)
 
 
 def _drift(rng: np.random.Generator, shape: tuple[int, ...], size: float) -> np.ndarray:

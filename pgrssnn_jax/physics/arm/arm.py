@@ -1,0 +1,185 @@
+"""An arm under motor torques that are held over the sample.
+
+    M(q) q̈ + h(q, q̇) = G u + θ - G² B q̇ - G Tc sign(q̇)          RK4 over dt, then q and q̇ limited, then
+    q̇_t ← q̇_t + S q̇_{t-1},      y = q
+
+x = [q, q̇] in rad and rad/s; u: motor torque, Nm on the motor side; G: gear ratio; B, Tc: viscous (Nm s) and Coulomb
+(Nm) friction on the motor side, none at standstill; θ: torque bias on the link side, Nm; S: the published disturbance
+of the velocities. Source: Li, Seth, Kok, IFAC 2026, section 4.3, and the released code.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.physics.arm import jax_dynamics, pinocchio_dynamics
+from pgrssnn_jax.physics.arm.kinematics import skeleton
+from pgrssnn_jax.physics.arm.tables import ArmTables, described, read_urdf
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
+from pgrssnn_jax.physics.integrate import zero_order_hold
+
+PerJoint = float | Sequence[float] | None
+BACKENDS: dict[str, Callable[[ArmTables], jax_dynamics.ForwardDynamics]] = {
+    "jax": jax_dynamics.forward_dynamics,
+    "pinocchio": pinocchio_dynamics.forward_dynamics,
+}
+_BEYOND = 1.0  # rad beyond a limit that a noisy position may still have
+_MEANINGS = {
+    "viscous_friction": Parameter("B", "Nm s", bounds=(0.0, float("inf")), neutral=0.0),
+    "coulomb_friction": Parameter("Tc", "Nm", bounds=(0.0, float("inf")), neutral=0.0),
+    "velocity_disturbance": Parameter("S", "", bounds=(-1.0, 1.0), neutral=0.0),
+    "torque_bias": Parameter("θ", "Nm", neutral=0.0),
+}
+
+
+def arm(
+    *,
+    robot: str = "kuka_kr300",
+    preset: str | None = "reference",
+    urdf: str | Path | None = None,
+    lock: Sequence[str] = (),
+    gravity: Sequence[float] | None = None,
+    joint_offset: PerJoint = None,
+    gear_ratio: PerJoint = None,
+    viscous_friction: PerJoint = None,
+    coulomb_friction: PerJoint = None,
+    position_min: PerJoint = None,
+    position_max: PerJoint = None,
+    velocity_max: PerJoint = None,
+    limits: bool = True,
+    velocity_disturbance: PerJoint = None,
+    torque_bias: PerJoint = None,
+    measured: bool = True,
+    dt: float = 0.1,
+    integrator: str = "rk4_looped",
+    sub_steps: int = 1,
+    backend: Literal["jax", "pinocchio"] = "jax",
+    physics_gradient: Literal["full", "stopped"] = "full",
+) -> Physics:
+    """An arm that comes with the package (robot, preset), or that of a URDF file (urdf, with the joints `lock` held).
+
+    The settings from gravity (m/s²) to velocity_max take the place of what the preset or the URDF says; one number
+    stands for all joints. joint_offset, position_min, position_max: rad; velocity_max: rad/s; limits: false leaves q
+    and q̇ unlimited. velocity_disturbance: diagonal of S; torque_bias: θ, Nm. measured: false when the measurement is
+    not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient through f_phy except that
+    of S, as the released code does. Raises `ValueError` for settings that do not fit the number of joints.
+    """
+    if physics_gradient not in ("full", "stopped"):
+        raise ValueError(f"physics.physics_gradient: expected full or stopped, found {physics_gradient!r}")
+    if backend not in BACKENDS:
+        raise ValueError(f"physics.backend: expected one of {sorted(BACKENDS)}, found {backend!r}")
+    if urdf is None and lock:
+        raise ValueError(f"physics.lock: expected none without physics.urdf, found {list(lock)}")
+    tables = described(robot, preset) if urdf is None else read_urdf(urdf, lock)
+    overrides = {
+        "offset": ("joint_offset", joint_offset),
+        "gear": ("gear_ratio", gear_ratio),
+        "viscous": ("viscous_friction", viscous_friction),
+        "coulomb": ("coulomb_friction", coulomb_friction),
+        "position_min": ("position_min", position_min),
+        "position_max": ("position_max", position_max),
+        "velocity_max": ("velocity_max", velocity_max),
+    }
+    given = {field: per_joint(name, value, tables) for field, (name, value) in overrides.items() if value is not None}
+    tables = tables._replace(**given)
+    if gravity is not None:
+        tables = tables._replace(gravity=_gravity(gravity))
+    params = {"viscous_friction": tables.viscous, "coulomb_friction": tables.coulomb}
+    for name, value in (("velocity_disturbance", velocity_disturbance), ("torque_bias", torque_bias)):
+        if value is not None:
+            params[name] = per_joint(name, value, tables)
+    advance = zero_order_hold(_derivative(tables, backend), dt=dt, integrator=integrator, sub_steps=sub_steps)
+    return discrete(
+        "arm",
+        _step(advance, tables, limits=limits, stopped=physics_gradient == "stopped"),
+        _positions if measured else _nothing,
+        params,
+        parameters={name: _MEANINGS[name] for name in params},
+        states=_states(tables.n),
+        inputs=tuple(Signal(f"torque_{i + 1}", "Nm") for i in range(tables.n)),
+        outputs=_outputs(tables),
+        dt=dt,
+        skeleton=skeleton(tables) if _is_chain(tables) else None,
+    )
+
+
+def per_joint(name: str, value: Any, tables: ArmTables) -> Float[np.ndarray, " n"]:
+    """A setting as one number per joint; one number stands for all."""
+    try:
+        found = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        found = np.full(0, np.nan)
+    if found.shape not in ((), (tables.n,)) or np.isnan(found).any():
+        raise ValueError(f"physics.{name}: expected one number or {tables.n}, one per joint, found {value}")
+    return np.broadcast_to(found, (tables.n,)).copy()
+
+
+def _gravity(value: Sequence[float]) -> np.ndarray:
+    found = np.asarray(value, np.float64)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ValueError(f"physics.gravity: expected three numbers in m/s², found {value}")
+    return found
+
+
+def _derivative(tables: ArmTables, backend: str) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
+    accelerations = BACKENDS[backend](tables)
+
+    def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
+        """d[q, q̇]/dt."""
+        gear = jnp.asarray(tables.gear, x.dtype)
+        q, v = jnp.split(x, 2)
+        tau = gear * (u - gear * p["viscous_friction"] * v - p["coulomb_friction"] * jnp.sign(v))
+        if "torque_bias" in p:
+            tau = tau + p["torque_bias"]
+        return jnp.concatenate([v, accelerations(q, v, tau)])
+
+    return derivative
+
+
+def _step(
+    advance: Callable[[Any, jax.Array, jax.Array], jax.Array], tables: ArmTables, *, limits: bool, stopped: bool
+) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
+    low = np.concatenate([tables.position_min, -tables.velocity_max])
+    high = np.concatenate([tables.position_max, tables.velocity_max])
+
+    def step(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
+        known = (p, x, u)
+        p_held, x_held, u_held = jax.lax.stop_gradient(known) if stopped else known
+        new = advance(p_held, x_held, u_held)
+        if limits:
+            new = jnp.clip(new, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
+        if "velocity_disturbance" in p:
+            new = new.at[tables.n :].add(p["velocity_disturbance"] * x[tables.n :])
+        return new
+
+    return step
+
+
+def _positions(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " y"]:
+    return x[: len(u)]
+
+
+def _nothing(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " y"]:
+    return jnp.zeros_like(x[: len(u)])
+
+
+def _states(n: int) -> tuple[Signal, ...]:
+    names = [f"position_{i + 1}" for i in range(n)]
+    return tuple(Signal(name, "rad", like=name) for name in names) + tuple(
+        Signal(name.replace("position", "velocity"), "rad/s", rate_of=name) for name in names
+    )
+
+
+def _outputs(tables: ArmTables) -> tuple[Signal, ...]:
+    """A position far beyond the joint's limits is no angle in rad."""
+    low, high = tables.position_min - _BEYOND, tables.position_max + _BEYOND
+    return tuple(Signal(f"position_{i + 1}", "rad", range=(float(low[i]), float(high[i]))) for i in range(tables.n))
+
+
+def _is_chain(tables: ArmTables) -> bool:
+    return tables.parents == tuple(range(-1, tables.n - 1))
