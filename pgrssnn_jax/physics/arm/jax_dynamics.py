@@ -52,10 +52,10 @@ def forward_dynamics(tables: ArmTables) -> ForwardDynamics:
     def solve(q: Batch, v: Batch, tau: Batch) -> tuple[Batch]:
         return (_accelerations(chain, q, v, tau)[0],)
 
-    def solve_and_keep(q: Batch, v: Batch, tau: Batch) -> tuple[Batch, ...]:
+    def solve_and_keep(q: Batch, v: Batch, tau: Batch) -> tuple[Batch, jax.Array, jax.Array]:
         return _accelerations(chain, q, v, tau)
 
-    def pull_back(v: Batch, a: Batch, factor: Batch, world: jax.Array, a_bar: Batch) -> tuple[Batch, ...]:
+    def pull_back(v: Batch, a: Batch, factor: jax.Array, world: jax.Array, a_bar: Batch) -> tuple[Batch, ...]:
         return _pull_back(chain, v, a, factor, world, a_bar)
 
     alone, kept, back = batch_last(solve), batch_last(solve_and_keep), batch_last(pull_back)
@@ -160,7 +160,7 @@ class _Chain:
         return found
 
 
-def _accelerations(chain: _Chain, q: Batch, v: Batch, tau: Batch) -> tuple[Batch, ...]:
+def _accelerations(chain: _Chain, q: Batch, v: Batch, tau: Batch) -> tuple[Batch, jax.Array, jax.Array]:
     """q̈, and what its derivative needs: the factors of M and the world's axes and inertias."""
     world = _world(chain, q)
     factor = _factorise(chain, _mass(chain, world))
@@ -206,7 +206,8 @@ def _frames(chain: _Chain, q: Batch) -> tuple[list[list[jax.Array]], Vector]:
         else:
             x, y, z = (_combine(fixed[:, k], turned[parent]) for k in range(3))
             origin = origins[parent] + _combine(shift, turned[parent])
-        *columns, origin = keep((c[i] * x + s[i] * y, c[i] * y - s[i] * x, z, origin))
+        ci, si = c[i : i + 1], s[i : i + 1]
+        *columns, origin = keep((ci * x + si * y, ci * y - si * x, z, origin))
         turned.append(columns)
         origins.append(origin)
     *stacked, p = keep((*(jnp.stack([t[k] for t in turned], 1) for k in range(3)), jnp.stack(origins, 1)))
@@ -289,7 +290,7 @@ def _solve(chain: _Chain, factor: jax.Array, b: Batch) -> Batch:
 
 
 def _pull_back(
-    chain: _Chain, v: Batch, a: Batch, factor: Batch, world: jax.Array, a_bar: Batch
+    chain: _Chain, v: Batch, a: Batch, factor: jax.Array, world: jax.Array, a_bar: Batch
 ) -> tuple[Batch, Batch, Batch]:
     """Cotangents of q, q̇ and τ.
 

@@ -35,11 +35,11 @@ def forward_dynamics(tables: ArmTables, threads: int = 1) -> ForwardDynamics:
     def accelerations(q: Joints, v: Joints, tau: Joints) -> Joints:
         return _call(host.accelerations, (n,), q, v, tau)
 
-    def forward(q: Joints, v: Joints, tau: Joints) -> tuple[Joints, Float[jax.Array, "n 3n"]]:
+    def forward(q: Joints, v: Joints, tau: Joints) -> tuple[Joints, Float[jax.Array, "n _"]]:
         packed = _call(host.derivatives, (n, 1 + 3 * n), q, v, tau)
         return packed[:, 0], packed[:, 1:]
 
-    def reverse(matrices: Float[jax.Array, "n 3n"], a_bar: Joints) -> tuple[Joints, ...]:
+    def reverse(matrices: Float[jax.Array, "n _"], a_bar: Joints) -> tuple[Joints, ...]:
         return tuple(jnp.split(a_bar @ matrices, 3))
 
     accelerations.defvjp(forward, reverse)
