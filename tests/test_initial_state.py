@@ -30,6 +30,13 @@ def test_zero_and_first_output():
     np.testing.assert_array_equal(start_state(model, params, record, InitialState("first_output")), [[first, first]])
 
 
+def test_scaled_zero_is_the_states_offset():
+    model, params, record = alone()
+    start = start_state(model, params, record, InitialState("scaled_zero"))
+    np.testing.assert_array_equal(start, np.float32(params.scaling.x.offset)[None])
+    np.testing.assert_allclose(params.scaling.x.to_scaled(start), 0.0, atol=1e-6)
+
+
 def test_a_first_sample_that_was_not_measured_is_passed_over():
     model, params, record = alone()
     hidden = np.ones(record.y.shape, bool)

@@ -108,6 +108,14 @@ def test_f_nn_sees_the_gru_state_first_and_the_features_second(key):
     assert len(dense.gru) == 0
 
 
+def test_a_correction_shrinks_f_nn_alone(key):
+    full, small = (build(spec("PG-RSSNN", correction=c), key) for c in (1.0, 0.01))
+    h, phi = jax.random.normal(key, (2, 6, 4))
+    np.testing.assert_allclose(small.f_nn(h, phi), 0.01 * full.f_nn(h, phi), rtol=1e-6)
+    x, u = jax.random.normal(key, (6, 3)), jax.random.normal(key, (6, 2))
+    np.testing.assert_array_equal(small.g_nn(x, u), full.g_nn(x, u))
+
+
 def test_g_nn_sees_the_input_first_and_the_state_second(key):
     networks = build(spec("RSSNN"), key)
     x, u = jax.random.normal(key, (6, 3)), jax.random.normal(key, (6, 2))

@@ -118,21 +118,54 @@ def test_a_state_like_an_output_shares_its_scaling():
     np.testing.assert_array_equal(scaling.x.scale, scaling.y.scale[::-1])
 
 
+RATE_STATES = (Signal("a", like="y0"), Signal("v", rate_of="y1"))
+
+
+def ramps(samples: int = 30) -> np.ndarray:
+    """y1 of the two sequences falls by 2 and rises by 4 per second, far from zero."""
+    y = np.resize(Y, (2, samples, 2)) + 100.0
+    y[0, :, 1] -= np.arange(samples) + y[0, :, 1]
+    y[1, :, 1] += 2 * np.arange(samples) - y[1, :, 1]
+    return y
+
+
 def test_a_rate_is_scaled_by_differences_and_has_no_offset():
-    y = Y + 100.0
-    scaling = fit_scaling(small_record(U, y), moving((Signal("a", like="y0"), Signal("v", rate_of="y1"))))
-    assert scaling.x.offset[1] == 0.0
     # differences within sequences alone: the jump from the first to the second is no motion
-    rates = np.concatenate([np.diff(y[0, :, 1]), np.diff(y[1, :, 1])]) / 0.5
-    np.testing.assert_allclose(scaling.x.scale[1], rates.std(), rtol=1e-9)
+    scaling = fit_scaling(small_record(U, ramps()), moving(RATE_STATES))
+    assert scaling.x.offset[1] == 0.0
+    np.testing.assert_allclose(scaling.x.scale[1], np.sqrt((2.0**2 + 4.0**2) / 2), rtol=1e-9)
+
+
+def test_white_noise_of_the_measurement_does_not_count_as_motion():
+    time = np.arange(20000)
+    y = np.repeat(np.sin(0.02 * time)[None, :, None], 2, axis=2).repeat(2, axis=0)
+    noisy = y + np.random.default_rng(0).normal(0, 0.1, y.shape)
+    u = np.zeros(y.shape)
+    clean, found = (fit_scaling(small_record(u, a), moving(RATE_STATES)).x.scale[1] for a in (y, noisy))
+    np.testing.assert_allclose(clean, 0.02 / np.sqrt(2) / 0.5, rtol=1e-3)
+    np.testing.assert_allclose(found, clean, rtol=0.2)
+    assert np.diff(noisy[..., 1], axis=1).std() / 0.5 > 9 * clean  # what plain differences say
+
+
+def test_a_rate_that_drowns_in_noise_keeps_a_tenth_of_its_size():
+    y = np.broadcast_to(np.arange(30)[:, None] % 2, (2, 30, 2)) + 5.0  # nothing moves in two samples
+    scale = fit_scaling(small_record(U, y), moving(RATE_STATES)).x.scale[1]
+    steps = np.diff(y[..., 1], axis=1)
+    np.testing.assert_allclose(scale, 0.1 * np.sqrt(np.mean(steps**2)) / 0.5, rtol=1e-9)
+
+
+def test_a_rate_can_take_its_outputs_scaling_as_published():
+    scaling = fit_scaling(small_record(U, Y), moving(RATE_STATES), rates_like_outputs=True)
+    assert (scaling.x.offset[1], scaling.x.scale[1]) == (scaling.y.offset[1], scaling.y.scale[1])
 
 
 def test_a_rate_does_not_difference_over_a_gap():
-    y, mask = Y.copy(), np.ones(Y.shape, bool)
+    y, mask = ramps(), np.ones(Y.shape, bool)
     y[0, 10, 1], mask[0, 10, 1] = 1e5, False
     scaling = fit_scaling(small_record(U, y, mask=mask), moving((Signal("a"), Signal("v", rate_of="y1"))))
-    rates = np.concatenate([np.diff(y[0, :10, 1]), np.diff(y[0, 11:, 1]), np.diff(y[1, :, 1])]) / 0.5
-    np.testing.assert_allclose(scaling.x.scale[1], rates.std(), rtol=1e-9)
+    # of the first sequence 27 steps of one and 26 of two samples are left, of the second 29 and 28
+    one, two = (np.average([1.0, 4.0], weights=w) for w in ([27, 29], [26, 28]))
+    np.testing.assert_allclose(scaling.x.scale[1], np.sqrt((4 * two - one) / 3) / 0.5, rtol=1e-9)
 
 
 @pytest.mark.parametrize("case", ["one sample", "never measured"])

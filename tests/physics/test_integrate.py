@@ -94,7 +94,7 @@ def test_sub_steps_are_differentiable_in_reverse():
 
 
 def test_bad_integrator_is_named():
-    with pytest.raises(ValueError, match=r"integrator: expected one of \['euler', 'rk4'\], found 'rk5'"):
+    with pytest.raises(ValueError, match=r"integrator: expected one of \['euler', 'rk4', 'rk4_looped'\], found 'rk5'"):
         zero_order_hold(pendulum, dt=1.0, integrator="rk5")
 
 
@@ -102,3 +102,15 @@ def test_bad_integrator_is_named():
 def test_bad_sub_steps_are_named(sub_steps):
     with pytest.raises(ValueError, match=rf"sub_steps: expected at least 1, found {sub_steps}"):
         zero_order_hold(pendulum, dt=1.0, integrator="rk4", sub_steps=sub_steps)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("sub_steps", [1, 3])
+def test_looped_stages_are_those_of_rk4_and_so_is_their_gradient(sub_steps):
+    x, u = jnp.asarray(X0), jnp.asarray(U)
+    found = []
+    for integrator in ("rk4", "rk4_looped"):
+        step = zero_order_hold(pendulum, dt=0.4, integrator=integrator, sub_steps=sub_steps)
+        found.append((step({"damping": 0.3}, x, u), jax.jacrev(step, (0, 1, 2))({"damping": 0.3}, x, u)))
+    for plain, looped in zip(*map(jax.tree.leaves, found), strict=True):
+        np.testing.assert_allclose(looped, plain, rtol=1e-13, atol=1e-15)

@@ -76,7 +76,7 @@ def arm(
     if urdf is None and lock:
         raise ValueError(f"physics.lock: expected none without physics.urdf, found {list(lock)}")
     tables = described(robot, preset) if urdf is None else read_urdf(urdf, lock)
-    overrides = {
+    overrides: dict[str, tuple[str, Any]] = {
         "offset": ("joint_offset", joint_offset),
         "gear": ("gear_ratio", gear_ratio),
         "viscous": ("viscous_friction", viscous_friction),
@@ -86,9 +86,13 @@ def arm(
         "velocity_max": ("velocity_max", velocity_max),
     }
     given = {field: per_joint(name, value, tables) for field, (name, value) in overrides.items() if value is not None}
+    if urdf is not None and "gear" in given:  # a URDF's friction is on the link side
+        gear = given["gear"]
+        given = {"viscous": tables.viscous / gear**2, "coulomb": tables.coulomb / gear, **given}
     tables = tables._replace(**given)
     if gravity is not None:
         tables = tables._replace(gravity=_gravity(gravity))
+    _check_limits(tables)
     params = {"viscous_friction": tables.viscous, "coulomb_friction": tables.coulomb}
     for name, value in (("velocity_disturbance", velocity_disturbance), ("torque_bias", torque_bias)):
         if value is not None:
@@ -109,21 +113,38 @@ def arm(
 
 
 def per_joint(name: str, value: Any, tables: ArmTables) -> Float[np.ndarray, " n"]:
-    """A setting as one number per joint; one number stands for all."""
-    try:
-        found = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
-        found = np.full(0, np.nan)
-    if found.shape not in ((), (tables.n,)) or np.isnan(found).any():
+    """A setting as one number per joint; one number stands for all. Only limits may be infinite."""
+    found = _numbers(value)
+    usable = np.isfinite(found) | (np.isinf(found) & (name.endswith(("_min", "_max"))))
+    if found.shape not in ((), (tables.n,)) or not usable.all():
         raise ValueError(f"physics.{name}: expected one number or {tables.n}, one per joint, found {value}")
     return np.broadcast_to(found, (tables.n,)).copy()
 
 
-def _gravity(value: Sequence[float]) -> np.ndarray:
-    found = np.asarray(value, np.float64)
+def _gravity(value: Any) -> Float[np.ndarray, "3"]:
+    found = _numbers(value)
     if found.shape != (3,) or not np.isfinite(found).all():
         raise ValueError(f"physics.gravity: expected three numbers in m/s², found {value}")
     return found
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """NaN for what is no number."""
+    try:
+        return np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        return np.asarray(np.nan)
+
+
+def _check_limits(tables: ArmTables) -> None:
+    for i, name in enumerate(tables.joints):
+        low, high, fastest = tables.position_min[i], tables.position_max[i], tables.velocity_max[i]
+        if not low < high:
+            raise ValueError(
+                f"physics.position_max: expected more than the {low:g} of position_min at {name}, found {high:g} rad"
+            )
+        if not fastest > 0:
+            raise ValueError(f"physics.velocity_max: expected more than 0 rad/s at {name}, found {fastest:g}")
 
 
 def _derivative(tables: ArmTables, backend: str) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:

@@ -49,16 +49,19 @@ def forward_dynamics(tables: ArmTables, threads: int = 1) -> ForwardDynamics:
 def _call(
     function: Callable[..., np.ndarray], shape: tuple[int, ...], q: Joints, v: Joints, tau: Joints
 ) -> Float[jax.Array, "..."]:
-    """One callback for the whole batch. The arguments travel as bytes: JAX would round float64 to float32 in a callback
-    that runs where 64-bit numbers are switched off, whatever the program around it says."""
+    """One callback for the whole batch. Arguments and result travel as bytes: JAX would round float64 to float32 in a
+    callback that runs where 64-bit numbers are switched off, whatever the program around it says."""
     dtype = jnp.result_type(q, v, tau)
     packed = jax.lax.bitcast_convert_type(jnp.stack([a.astype(dtype) for a in (q, v, tau)]), jnp.uint8)
 
     def on_host(packed: Any) -> np.ndarray:
         arrays = np.ascontiguousarray(np.asarray(packed)).view(dtype)[..., 0]
-        return function(arrays.reshape(-1, *arrays.shape[-2:])).reshape(*arrays.shape[:-2], *shape).astype(dtype)
+        found = function(arrays.reshape(-1, *arrays.shape[-2:])).reshape(*arrays.shape[:-2], *shape)
+        with np.errstate(over="ignore"):  # a state beyond float32 becomes infinite, which is for others to notice
+            return np.ascontiguousarray(found.astype(dtype))[..., None].view(np.uint8)
 
-    return jax.pure_callback(on_host, jax.ShapeDtypeStruct(shape, dtype), packed, vmap_method="broadcast_all")
+    result = jax.ShapeDtypeStruct((*shape, dtype.itemsize), jnp.uint8)
+    return jax.lax.bitcast_convert_type(jax.pure_callback(on_host, result, packed, vmap_method="broadcast_all"), dtype)
 
 
 class _Host:

@@ -106,8 +106,9 @@ def denavit_hartenberg(description: Mapping[str, Any]) -> ArmTables:
 def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
     """Tables of a URDF; lock: names of joints that are held at their neutral position (a gripper's fingers, say).
 
-    Gear ratios are 1, friction and limits are those of the URDF. Raises `ValueError` for a file that Pinocchio cannot
-    read, and for joints that are not revolute.
+    Gear ratios are 1, friction and limits are those of the URDF; limits of zero width, which many files carry where
+    nobody knew better, are none. Raises `ValueError` for a file that Pinocchio cannot read, for joints that are not
+    revolute, and for joints that move no mass.
     """
     path = Path(file).expanduser()
     if not path.is_file():
@@ -118,12 +119,34 @@ def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
         reason = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
         raise ValueError(f"physics.urdf: {file}: expected a URDF that Pinocchio can read, found {reason}") from None
     names = list(model.names)[1:]
+    if isinstance(lock, str):
+        raise ValueError(f"physics.lock: expected a list of joint names, [{lock}] say, found {lock!r}")
     for name in lock:
         if name not in names:
             raise ValueError(f"physics.lock: expected names among {names}, found {name!r}")
     if lock:
-        model = pin.buildReducedModel(model, [model.getJointId(name) for name in lock], pin.neutral(model))
-    return tables_of(model, f"physics.urdf: {file}: ")
+        held = [model.getJointId(name) for name in dict.fromkeys(lock)]
+        model = pin.buildReducedModel(model, held, pin.neutral(model))
+    where = f"physics.urdf: {file}: "
+    tables = tables_of(model, where)
+    _check_mass(tables, where)
+    frozen = tables.position_max <= tables.position_min
+    return tables._replace(
+        position_min=np.where(frozen, -np.inf, tables.position_min),
+        position_max=np.where(frozen, np.inf, tables.position_max),
+        velocity_max=np.where(tables.velocity_max > 0, tables.velocity_max, np.inf),
+    )
+
+
+def _check_mass(tables: ArmTables, where: str) -> None:
+    """A joint that moves no mass has no acceleration. Looked at in a pose in which no axis meets a centre of mass."""
+    model = pinocchio_model(tables)
+    own = np.diag(pin.crba(model, model.createData(), 0.3 + 0.1 * np.arange(tables.n)))
+    for name, inertia in zip(tables.joints, own, strict=True):
+        if not inertia > 1e-9:
+            raise ValueError(
+                f"{where}joint {name!r}: expected it to move some mass, found an inertia of {inertia:g} kg m²"
+            )
 
 
 def tables_of(model: pin.Model, where: str = "") -> ArmTables:
@@ -132,6 +155,7 @@ def tables_of(model: pin.Model, where: str = "") -> ArmTables:
     if not n:
         raise ValueError(f"{where}expected at least one revolute joint, found none")
     data, names = model.createData(), tuple(model.names)[1:]
+    pin.forwardKinematics(model, data, pin.neutral(model))  # fills in the joints' axes
     turned = [_turned_to_z(model, data, i, where) for i in range(1, n + 1)]
     parents = tuple(model.parents[i] - 1 for i in range(1, n + 1))
     placements = [model.jointPlacements[i] for i in range(1, n + 1)]

@@ -15,6 +15,7 @@ from pgrssnn_jax.physics.arm.tables import ArmTables, described, pinocchio_model
 KUKA = described("kuka_kr300", "reference")
 S = np.array([-0.05, 0.1, -0.2, 0.05, 0.1, -0.1])
 THETA = np.array([4.0, 5.0, 5.0, 0.5, 2.0, 0.5])
+DISTURBED = {"velocity_disturbance": S.tolist(), "torque_bias": THETA.tolist()}
 MOVING = "<limit lower='-2' upper='1.5' velocity='3' effort='9'/>"
 
 
