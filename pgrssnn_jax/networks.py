@@ -67,7 +67,8 @@ class TwoDense(nnx.Module):
         self.activation = activation
 
     def __call__(self, z: Float[jax.Array, "*batch n_in"]) -> Float[jax.Array, "*batch n_out"]:
-        return self.second(ACTIVATIONS[self.activation](self.first(z)))
+        rows = z.reshape(-1, z.shape[-1])  # the gradient of a product over one axis of samples is the faster one
+        return self.second(ACTIVATIONS[self.activation](self.first(rows))).reshape(*z.shape[:-1], -1)
 
 
 class Networks(nnx.Module):
