@@ -13,7 +13,17 @@ import numpy as np
 
 from pgrssnn_jax.reports import content, stick, style
 from pgrssnn_jax.reports.content import Metrics, Number
-from pgrssnn_jax.reports.stick import Poses, Stage, project
+from pgrssnn_jax.reports.poses import (
+    BASE,
+    Poses,
+    Stage,
+    floor_edge,
+    floor_lines,
+    project,
+    read_poses,
+    set_stage,
+    tip_distance,
+)
 
 WIDTH, TOP, ARM, STRIP, FOOT, MARGIN = 900.0, 96.0, 430.0, 84.0, 34.0, 24.0
 FONT = "system-ui, 'Segoe UI', 'Liberation Sans', Arial, sans-serif"
@@ -45,17 +55,16 @@ def stick_animation(
     *,
     sequence: int = 0,
     frames: int = 120,
-    up: Sequence[Number] | None = None,
 ) -> str:
     """The test sequence `sequence` in at most `frames` poses over about ten seconds, again and again: an `svg` element.
 
-    Arrays and `up` are those of `stick_figure`. Where a pose is missing its arm is not seen. Below the arm a mark runs
+    The arrays are those of `stick_figure`. Where a pose is missing its arm is not seen. Below the arm a mark runs
     along the distance between the tips.
     """
     if frames < 2:
         raise ValueError(f"stick_animation: frames: expected at least 2, found {frames}")
-    poses = stick.read_poses(predictions, sequence, up)
-    stage, time = stick.set_stage(poses), len(poses.measured)
+    poses = read_poses(predictions, sequence)
+    stage, time = set_stage(poses), len(poses.measured)
     shown = _evenly(time, frames)
     clock = _clock(metrics["dt"] * (time - 1), shown / max(time - 1, 1))
     height = TOP + ARM + STRIP + FOOT
@@ -101,10 +110,10 @@ def _arm(poses: Poses, stage: Stage, shown: np.ndarray, clock: _Clock) -> str:
     def place(points: np.ndarray) -> np.ndarray:
         return np.clip((project(points) - stage.low) * (scale, -scale) + corner, -WIDTH, 2 * WIDTH)
 
-    found = f'<polygon points="{_points(place(stick.floor_edge(stage.centre, stage.radius)))}" fill="{stick.FLOOR}"/>\n'
-    grid = "".join("M{}L{}".format(*map(_pair, place(line))) for line in stick.floor_lines(stage))
+    found = f'<polygon points="{_points(place(floor_edge(stage.centre, stage.radius)))}" fill="{stick.FLOOR}"/>\n'
+    grid = "".join("M{}L{}".format(*map(_pair, place(line))) for line in floor_lines(stage))
     found += f'<path d="{grid}" stroke="#ffffff" stroke-width="2"/>\n'
-    foot = _points(place(stick.floor_edge(np.zeros(2), stick.FOOT * stage.radius)))
+    foot = _points(place(floor_edge(np.zeros(2), BASE * stage.radius)))
     found += f'<polygon points="{foot}" fill="{style.QUIET}"/>\n'
     x, y, bar = MARGIN, TOP + ARM - 6, scale * stage.square
     found += f'<path d="M{x:g} {y:g}h{bar:.1f}" stroke="{style.INK}" stroke-width="3" stroke-linecap="butt"/>\n'
@@ -137,7 +146,7 @@ def _limbs(places: np.ndarray, colour: str, wide: float, clock: _Clock, joints: 
 
 def _distance(poses: Poses, metrics: Metrics, shown: np.ndarray, clock: _Clock) -> str:
     """The distance between the tips against time, and where the arm above is on it."""
-    distance, time = stick.tip_distance(poses), len(poses.measured)
+    distance, time = tip_distance(poses), len(poses.measured)
     left, bottom, wide = MARGIN, TOP + ARM + STRIP, WIDTH - 2 * MARGIN
     most = float(np.max(distance, initial=0.0, where=np.isfinite(distance))) or 1.0
     drawn = _evenly(time, CURVE)
