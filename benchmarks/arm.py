@@ -35,7 +35,6 @@ from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records import Channel, Record, RecordInfo, cast, record, take
 
 SEQUENCES, SAMPLES, JOINTS, STAGES = 60, 605, 6, 4
-EVALUATIONS = SEQUENCES * SAMPLES * STAGES
 
 
 def main() -> None:

@@ -196,6 +196,9 @@ def _evaluated(
         "x0": predictions.x0,
     }
     if physics.skeleton is not None:
-        poses = {"measured": test.y[0], "predicted": evaluate.shown(rows, predictions, mean)}
+        poses = {
+            "measured": np.where(test.mask[0], test.y[0], np.nan),
+            "predicted": evaluate.shown(rows, predictions, mean),
+        }
         arrays |= {f"skeleton_{name}": physics.skeleton(y).astype(np.float32) for name, y in poses.items()}
     return metrics, arrays

@@ -83,11 +83,13 @@ def _levenberg_marquardt(residual: Callable[[jax.Array], jax.Array], start: jax.
     Our own, because it runs inside `shard_map` over members, which the solvers of optimistix refuse.
     """
 
+    jacobian = _jacobian(residual, start)
+
     def body(
         _: jax.Array | int, carry: tuple[jax.Array, jax.Array, jax.Array]
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         z, cost, damping = carry
-        r, slope = residual(z), jax.jacfwd(residual)(z)
+        r, slope = residual(z), jacobian(residual)(z)
         normal = slope.T @ slope
         step = jnp.linalg.solve(normal + damping * jnp.eye(len(z), dtype=z.dtype), slope.T @ r)
         tried = z - step
@@ -101,3 +103,13 @@ def _levenberg_marquardt(residual: Callable[[jax.Array], jax.Array], start: jax.
 
     first = (start, jnp.sum(residual(start) ** 2), jnp.asarray(1e-2, start.dtype))
     return jax.lax.fori_loop(0, _STEPS, body, first)[0]
+
+
+def _jacobian(residual: Callable[[jax.Array], jax.Array], at: jax.Array) -> Callable[..., Callable[..., jax.Array]]:
+    """Forward mode is the cheaper one for a handful of unknowns, but a physics with a derivative rule of its own (the
+    arm) has reverse mode alone."""
+    try:
+        jax.eval_shape(jax.jacfwd(residual), at)
+    except TypeError:
+        return jax.jacrev
+    return jax.jacfwd

@@ -29,7 +29,8 @@ class ModelSpec:
     (FC); feedback: x_{t-1} goes into φ_u; hidden: n_h; gru_layers: stacked GRUs, the last one's state is used;
     gru_bias: biases in the GRU (published: none); start_from_physics: output heads start at zero, so that the
     untrained model is the physics; correction: f_nn is multiplied by it (published: 1). A physics that integrates
-    piles up what is added at every step, so that a small fraction of a state's scale is enough.
+    piles up what is added at every step, so that a small fraction of a state's scale is enough. Neither touches a black
+    box, whose states are the networks' own.
     """
 
     guided: bool = True
@@ -76,9 +77,9 @@ class Networks(nnx.Module):
 
     def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs) -> None:
         n_h, act = spec.hidden, spec.activation
-        self.correction = spec.correction
+        self.correction = spec.correction if spec.guided else 1.0
         n_mixed = 2 * n_h if spec.recurrent else n_h
-        zero = spec.start_from_physics
+        zero = spec.start_from_physics and spec.guided
         self.features_u = TwoDense(n_u + (n_x if spec.feedback else 0), n_h, n_h, act, rngs=rngs)
         layers = spec.gru_layers if spec.recurrent else 0
         self.gru = nnx.List([GRU(n_h, n_h, bias=spec.gru_bias, rngs=rngs) for _ in range(layers)])

@@ -87,6 +87,8 @@ def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> P
         raise ValueError(f"configuration: expected the keys {sorted(_KEYS)}, found {unknown[0]!r}")
     fit = plan_fit(config)
     model, initial = fit.objective.model, fit.objective.initial
+    if model.physics.remark:
+        notify(model.physics.remark)
     splits = load_splits(config["data"], model.physics, notify)
     _check_records(splits, initial, model.physics)
     published = _conventions(config["data"]).published_scaling
@@ -118,13 +120,15 @@ def plan_fit(config: Mapping[str, Any]) -> Fit:
     spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
     model = build_model(spec, load_physics(config["physics"]))
     settings = call_with(FitSettings, config["fit"], "fit")
-    conventions = _conventions(config["data"])
-    kind = config["initial_state"]
-    if kind == "zero" and conventions.published_scaling and _has_rates(model.physics):
-        kind = "scaled_zero"  # the published code starts there
-    start = {"kind": kind, "n_init": config["n_init"], "shared": conventions.shared_initial_state}
+    shared = _conventions(config["data"]).shared_initial_state
+    start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
     initial = call_with(InitialState, start, "initial_state")
     train_physics = settings.physics_parameters == "trained"
+    if config["physics"].get("physics_gradient") == "stopped" and (train_physics or initial.kind == "estimated"):
+        what = "fit.physics_parameters=trained" if train_physics else "initial_state=estimated"
+        raise ValueError(
+            f"physics.physics_gradient: expected full with {what}, which needs the gradient, found stopped"
+        )
     return Fit(build_objective(model, initial, train_physics=train_physics), settings)
 
 
@@ -204,8 +208,8 @@ def _without(group: Mapping[str, Any], *names: str) -> dict[str, Any]:
 
 
 def _has_rates(physics: Physics) -> bool:
-    """The published code standardises signals before the physics sees them where its states are no rates (LGSSM), and
-    only the networks' signals, rates in the units of the positions, where some are (the arm)."""
+    """Is some state the rate of an output? Published scaling then concerns the networks alone and puts rates into the
+    units of their outputs (the arm); elsewhere the physics itself acts on standardised signals (LGSSM)."""
     return any(state.rate_of for state in physics.states)
 
 

@@ -78,8 +78,10 @@ def fit_scaling(train: Record, physics: Physics | None, *, rates_like_outputs: b
     if physics is None:
         return Scaling(u, identity(0), y)
     outputs = [signal.name for signal in physics.outputs]
-    simulated = _simulated_states(train, physics)
-    offset, scale = simulated.mean(0), simulated.std(0)
+    offset, scale = np.zeros(len(physics.states)), np.ones(len(physics.states))
+    if not all(state.like or state.rate_of for state in physics.states):
+        simulated = _simulated_states(train, physics)
+        offset, scale = simulated.mean(0), simulated.std(0)
     for i, state in enumerate(physics.states):
         same = state.like or (state.rate_of if rates_like_outputs else None)
         if same is not None:
@@ -95,14 +97,15 @@ def _rate_scale(y: Float[np.ndarray, "seq time"], dt: float) -> float:
     """Size of dy/dt without what white measurement noise adds to differences; 1 where nothing can be said.
 
     E(y_{t+k} - y_t)² is about (k dt)² E(dy/dt)² + 2 σ² for small k, and the difference of k = 2 and k = 1 knows no σ.
+    Where k = 3 does not agree with it, differences of one sample are taken as they are.
     """
-    one, two = (y[:, k:] - y[:, :-k] for k in (1, 2))
-    one, two = one[np.isfinite(one)], two[np.isfinite(two)]
-    if not one.size or not two.size:
-        return float(one.std() / dt) if one.size else 1.0
-    squared = (np.mean(two**2) - np.mean(one**2)) / 3.0
-    # slow signals under strong noise: what is left is an accident, and a tenth of the noisy size stands in
-    return float(np.sqrt(max(squared, 0.01 * np.mean(one**2))) / dt)
+    steps = [y[:, k:] - y[:, :-k] for k in (1, 2, 3)]
+    one, two, three = (np.mean(d[np.isfinite(d)] ** 2) if np.isfinite(d).any() else np.nan for d in steps)
+    motion, again = (two - one) / 3.0, (three - one) / 8.0
+    # a fast signal's differences grow otherwise, and what is left of a signal that only trembles is an accident
+    if not (motion > 0 and 0.5 * motion < again < 2.0 * motion):
+        motion = one
+    return float(np.sqrt(motion) / dt) if np.isfinite(motion) else 1.0
 
 
 def _simulated_states(train: Record, physics: Physics) -> Float[np.ndarray, "samples x"]:

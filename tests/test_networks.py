@@ -116,6 +116,14 @@ def test_a_correction_shrinks_f_nn_alone(key):
     np.testing.assert_array_equal(small.g_nn(x, u), full.g_nn(x, u))
 
 
+def test_a_black_box_takes_no_notice_of_what_belongs_to_the_physics(key):
+    plain, other = (
+        build(spec("RSSNN", **more), key) for more in ({}, {"correction": 0.01, "start_from_physics": True})
+    )
+    h, phi = jax.random.normal(key, (2, 6, 4))
+    np.testing.assert_array_equal(plain.f_nn(h, phi), other.f_nn(h, phi))
+
+
 def test_g_nn_sees_the_input_first_and_the_state_second(key):
     networks = build(spec("RSSNN"), key)
     x, u = jax.random.normal(key, (6, 3)), jax.random.normal(key, (6, 2))

@@ -147,11 +147,12 @@ def test_white_noise_of_the_measurement_does_not_count_as_motion():
     assert np.diff(noisy[..., 1], axis=1).std() / 0.5 > 9 * clean  # what plain differences say
 
 
-def test_a_rate_that_drowns_in_noise_keeps_a_tenth_of_its_size():
-    y = np.broadcast_to(np.arange(30)[:, None] % 2, (2, 30, 2)) + 5.0  # nothing moves in two samples
+@pytest.mark.parametrize("kind", ["trembles", "fast"])
+def test_a_rate_whose_differences_disagree_is_scaled_by_the_plain_ones(kind):
+    wave = np.arange(30) % 2 if kind == "trembles" else np.sin(1.8 * np.arange(30))
+    y = np.broadcast_to(wave[:, None], (2, 30, 2)) + 5.0
     scale = fit_scaling(small_record(U, y), moving(RATE_STATES)).x.scale[1]
-    steps = np.diff(y[..., 1], axis=1)
-    np.testing.assert_allclose(scale, 0.1 * np.sqrt(np.mean(steps**2)) / 0.5, rtol=1e-9)
+    np.testing.assert_allclose(scale, np.sqrt(np.mean(np.diff(wave) ** 2)) / 0.5, rtol=1e-9)
 
 
 def test_a_rate_can_take_its_outputs_scaling_as_published():

@@ -131,7 +131,7 @@ def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, argume
         (["model.activation=tanh"], "model.activation: expected relu | sigmoid, found 'tanh'"),
         (["model.hidden=0"], "model: hidden and gru_layers: expected at least 1"),
         (["model.guided=false", "model.networks=false"], "expected at least one of them to be true"),
-        (["initial_state=guessed"], "initial_state.kind: expected zero | first_output | estimated"),
+        (["initial_state=guessed"], "initial_state.kind: expected zero | scaled_zero | first_output | estimated"),
         (["initial_state=estimated", "n_init=0"], "n_init: expected at least 1 sample"),
         (["initial_state=estimated", "n_init=4000"], "n_init: expected fewer than"),
         (["n_seeds=0"], "n_seeds: expected 1 to 1000000, found 0"),

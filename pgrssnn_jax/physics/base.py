@@ -56,7 +56,7 @@ class Signal(NamedTuple):
 class Physics(NamedTuple):
     """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
     pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
-    there is nothing to draw."""
+    there is nothing to draw. remark: a line for the user of what the physics was built from."""
 
     name: str
     step: Step
@@ -69,6 +69,7 @@ class Physics(NamedTuple):
     dt: float
     reads: Literal["after_step", "before_step"] = "after_step"
     skeleton: Skeleton | None = None
+    remark: str = ""
 
 
 def is_parameter(leaf: object) -> bool:
@@ -88,6 +89,7 @@ def discrete(
     parameters: Mapping[str, Any] | None = None,
     reads: Literal["after_step", "before_step"] = "after_step",
     skeleton: Skeleton | None = None,
+    remark: str = "",
 ) -> Physics:
     """A `Physics` from x_t = step(params, x_{t-1}, u_t).
 
@@ -121,7 +123,9 @@ def discrete(
                 )
     if not dt > 0:
         raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
-    return Physics(name, step, measure, dict(params), meanings, states, inputs, outputs, float(dt), reads, skeleton)
+    return Physics(
+        name, step, measure, dict(params), meanings, states, inputs, outputs, float(dt), reads, skeleton, remark
+    )
 
 
 def continuous(
@@ -153,9 +157,10 @@ def check_physics(physics: Any, where: str) -> None:
         raise ValueError(f"physics: {where}: expected it to return a Physics, found {type(physics).__name__}")
     sizes = {name: len(getattr(physics, name)) for name in ("states", "inputs", "outputs")}
     x, u = (jax.ShapeDtypeStruct((sizes[name],), jnp.float32) for name in ("states", "inputs"))
+    params = jax.tree.map(lambda p: jax.ShapeDtypeStruct(np.shape(p), jnp.float32), physics.params)
     for name, expected in (("step", sizes["states"]), ("measure", sizes["outputs"])):
         try:
-            found = jax.eval_shape(getattr(physics, name), physics.params, x, u)
+            found = jax.eval_shape(getattr(physics, name), params, x, u)
         except Exception as problem:
             reason = str(problem).splitlines()[0]
             raise ValueError(
@@ -165,3 +170,10 @@ def check_physics(physics: Any, where: str) -> None:
         shape = getattr(found, "shape", found)
         if shape != (expected,):
             raise ValueError(f"physics {physics.name!r}: {name}: expected shape {(expected,)}, found {shape}")
+    if physics.skeleton is not None:
+        shape = np.shape(physics.skeleton(np.zeros((1, sizes["outputs"]))))
+        if len(shape) != 3 or shape[0] != 1 or shape[1] < 2 or shape[2] != 3:
+            raise ValueError(
+                f"physics {physics.name!r}: skeleton: expected points [1, at least 2, 3] from outputs "
+                f"[1, {sizes['outputs']}], found shape {shape}"
+            )

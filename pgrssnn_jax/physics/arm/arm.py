@@ -1,6 +1,6 @@
 """An arm under motor torques that are held over the sample.
 
-    M(q) q̈ + h(q, q̇) = G u + θ - G² B q̇ - G Tc sign(q̇)          RK4 over dt, then q and q̇ limited, then
+    M(q) q̈ + h(q, q̇) = G u + θ - G² B q̇ - |G| Tc sign(q̇)        RK4 over dt, then q and q̇ limited, then
     q̇_t ← q̇_t + S q̇_{t-1},      y = q
 
 x = [q, q̇] in rad and rad/s; u: motor torque, Nm on the motor side; G: gear ratio; B, Tc: viscous (Nm s) and Coulomb
@@ -46,6 +46,7 @@ def arm(
     gravity: Sequence[float] | None = None,
     joint_offset: PerJoint = None,
     gear_ratio: PerJoint = None,
+    motor_inertia: PerJoint = None,
     viscous_friction: PerJoint = None,
     coulomb_friction: PerJoint = None,
     position_min: PerJoint = None,
@@ -64,10 +65,11 @@ def arm(
     """An arm that comes with the package (robot, preset), or that of a URDF file (urdf, with the joints `lock` held).
 
     The settings from gravity (m/s²) to velocity_max take the place of what the preset or the URDF says; one number
-    stands for all joints. joint_offset, position_min, position_max: rad; velocity_max: rad/s; limits: false leaves q
-    and q̇ unlimited. velocity_disturbance: diagonal of S; torque_bias: θ, Nm. measured: false when the measurement is
-    not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient through f_phy except that
-    of S, as the released code does. Raises `ValueError` for settings that do not fit the number of joints.
+    stands for all joints. motor_inertia: kg m²; joint_offset, position_min, position_max: rad; velocity_max: rad/s;
+    limits: false leaves q and q̇ unlimited. velocity_disturbance: diagonal of S; torque_bias: θ, Nm. measured: false
+    when the measurement is not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient
+    through f_phy except that of S, as the released code does. Raises `ValueError` for settings that do not fit the
+    number of joints.
     """
     if physics_gradient not in ("full", "stopped"):
         raise ValueError(f"physics.physics_gradient: expected full or stopped, found {physics_gradient!r}")
@@ -79,6 +81,7 @@ def arm(
     overrides: dict[str, tuple[str, Any]] = {
         "offset": ("joint_offset", joint_offset),
         "gear": ("gear_ratio", gear_ratio),
+        "motor_inertia": ("motor_inertia", motor_inertia),
         "viscous": ("viscous_friction", viscous_friction),
         "coulomb": ("coulomb_friction", coulomb_friction),
         "position_min": ("position_min", position_min),
@@ -86,9 +89,12 @@ def arm(
         "velocity_max": ("velocity_max", velocity_max),
     }
     given = {field: per_joint(name, value, tables) for field, (name, value) in overrides.items() if value is not None}
-    if urdf is not None and "gear" in given:  # a URDF's friction is on the link side
-        gear = given["gear"]
-        given = {"viscous": tables.viscous / gear**2, "coulomb": tables.coulomb / gear, **given}
+    if "gear" in given and not given["gear"].all():
+        raise ValueError(f"physics.gear_ratio: expected numbers other than 0, found {gear_ratio}")
+    if urdf is not None and "gear" in given:  # a URDF says friction and armature on the link side
+        gear = np.abs(given["gear"])
+        moved = {"viscous": tables.viscous / gear**2, "coulomb": tables.coulomb / gear}
+        given = {**moved, "motor_inertia": tables.motor_inertia / gear**2, **given}
     tables = tables._replace(**given)
     if gravity is not None:
         tables = tables._replace(gravity=_gravity(gravity))
@@ -106,9 +112,10 @@ def arm(
         parameters={name: _MEANINGS[name] for name in params},
         states=_states(tables.n),
         inputs=tuple(Signal(f"torque_{i + 1}", "Nm") for i in range(tables.n)),
-        outputs=_outputs(tables),
+        outputs=_outputs(tables, limits=limits),
         dt=dt,
         skeleton=skeleton(tables) if _is_chain(tables) else None,
+        remark="" if urdf is None else _numbered(tables),
     )
 
 
@@ -154,7 +161,8 @@ def _derivative(tables: ArmTables, backend: str) -> Callable[[Any, jax.Array, ja
         """d[q, q̇]/dt."""
         gear = jnp.asarray(tables.gear, x.dtype)
         q, v = jnp.split(x, 2)
-        tau = gear * (u - gear * p["viscous_friction"] * v - p["coulomb_friction"] * jnp.sign(v))
+        friction = gear**2 * p["viscous_friction"] * v + jnp.abs(gear) * p["coulomb_friction"] * jnp.sign(v)
+        tau = gear * u - friction
         if "torque_bias" in p:
             tau = tau + p["torque_bias"]
         return jnp.concatenate([v, accelerations(q, v, tau)])
@@ -196,10 +204,15 @@ def _states(n: int) -> tuple[Signal, ...]:
     )
 
 
-def _outputs(tables: ArmTables) -> tuple[Signal, ...]:
+def _outputs(tables: ArmTables, *, limits: bool) -> tuple[Signal, ...]:
     """A position far beyond the joint's limits is no angle in rad."""
-    low, high = tables.position_min - _BEYOND, tables.position_max + _BEYOND
+    beyond = _BEYOND if limits else np.inf
+    low, high = tables.position_min - beyond, tables.position_max + beyond
     return tuple(Signal(f"position_{i + 1}", "rad", range=(float(low[i]), float(high[i]))) for i in range(tables.n))
+
+
+def _numbered(tables: ArmTables) -> str:
+    return f"joints of {tables.name}: " + ", ".join(f"{i} {name}" for i, name in enumerate(tables.joints, 1))
 
 
 def _is_chain(tables: ArmTables) -> bool:

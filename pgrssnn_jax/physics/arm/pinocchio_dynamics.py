@@ -24,12 +24,13 @@ from pgrssnn_jax.physics.arm.jax_dynamics import ForwardDynamics, Joints
 from pgrssnn_jax.physics.arm.tables import ArmTables, pinocchio_model
 
 
-def forward_dynamics(tables: ArmTables, threads: int = 1) -> ForwardDynamics:
+def forward_dynamics(tables: ArmTables) -> ForwardDynamics:
     """q̈ = f(q, q̇, τ) in rad/s² from rad, rad/s and Nm on the link side, each `[n]`.
 
-    threads: of one call of Pinocchio. Works under jit, vmap, scan and reverse-mode differentiation.
+    Works under jit, vmap, scan and reverse-mode differentiation. One call uses one thread, because every device calls
+    for itself.
     """
-    host, n = _Host(tables, threads), tables.n
+    host, n = _Host(tables), tables.n
 
     @jax.custom_vjp
     def accelerations(q: Joints, v: Joints, tau: Joints) -> Joints:
@@ -67,14 +68,14 @@ def _call(
 class _Host:
     """Pinocchio's model with working memory per calling thread: devices call back at the same time."""
 
-    def __init__(self, tables: ArmTables, threads: int) -> None:
-        self.model, self.threads, self.n = pinocchio_model(tables), threads, tables.n
+    def __init__(self, tables: ArmTables) -> None:
+        self.model, self.n = pinocchio_model(tables), tables.n
         self._own = threading.local()
 
     def accelerations(self, arrays: Float[np.ndarray, "batch 3 n"]) -> Float[np.ndarray, "batch n"]:
         if not hasattr(self._own, "pool"):
-            self._own.pool = pin.ModelPool(self.model, self.threads)
-        found = pin.abaInParallel(self.threads, self._own.pool, *_columns(arrays))
+            self._own.pool = pin.ModelPool(self.model, 1)
+        found = pin.abaInParallel(1, self._own.pool, *_columns(arrays))
         return found.reshape(self.n, -1).T  # Pinocchio drops the axis of a batch of one
 
     def derivatives(self, arrays: Float[np.ndarray, "batch 3 n"]) -> Float[np.ndarray, "batch n m"]:

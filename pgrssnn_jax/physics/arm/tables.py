@@ -5,7 +5,10 @@ of its parent joint. Frames of a URDF whose joints turn about another axis are t
 depends on the choice. Only revolute joints on a fixed base; branches are allowed.
 """
 
-from collections.abc import Mapping, Sequence
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,11 +22,12 @@ PerJoint = Float[np.ndarray, " n"]
 
 
 class ArmTables(NamedTuple):
-    """joints: names; parents: index of the parent joint, -1 for the base. rotation, position: placement of the joint
-    frame in its parent's, m; offset: rad at q = 0. mass kg, center m and inertia kg m² (about center) of what moves
-    with the joint, in its frame; armature kg m²: motor inertia on the link side; gear: motor turns per joint turn;
-    viscous Nm s and coulomb Nm: friction on the motor side. Limits in rad and rad/s, infinite where there are none.
-    gravity m/s²; tip: end of the last link in its joint's frame, m, for pictures."""
+    """joints: names, depth first; parents: index of the parent joint, -1 for the base. rotation, position: placement of
+    the joint frame in its parent's, m; offset: rad at q = 0. mass kg, center m and inertia kg m² (about center) of what
+    moves with the joint, in its frame; motor_inertia kg m², on the motor side; gear: motor turns per joint turn,
+    negative if they turn against each other; viscous Nm s and coulomb Nm: friction on the motor side. Limits in rad and
+    rad/s, infinite where there are none. gravity m/s²; tip: end of the last link in its joint's frame, m, for pictures.
+    """
 
     name: str
     joints: tuple[str, ...]
@@ -34,7 +38,7 @@ class ArmTables(NamedTuple):
     mass: PerJoint
     center: Float[np.ndarray, "n 3"]
     inertia: Float[np.ndarray, "n 3 3"]
-    armature: PerJoint
+    motor_inertia: PerJoint
     gear: PerJoint
     viscous: PerJoint
     coulomb: PerJoint
@@ -47,6 +51,11 @@ class ArmTables(NamedTuple):
     @property
     def n(self) -> int:
         return len(self.joints)
+
+    @property
+    def armature(self) -> PerJoint:
+        """Motor inertia as the links feel it, kg m²."""
+        return self.motor_inertia * self.gear**2
 
 
 def read_description(robot: str) -> Mapping[str, Any]:
@@ -90,7 +99,6 @@ def denavit_hartenberg(description: Mapping[str, Any]) -> ArmTables:
         model.appendBodyToJoint(parent, pin.Inertia(link["m"], np.array(link["r"]), inertia), after)
         model.addFrame(pin.Frame(f"link_{i}", parent, after, pin.FrameType.BODY))
         before = after
-    model.armature = np.array([link["Jm"] * link["G"] ** 2 for link in links])
     n = len(links)
     model.lowerPositionLimit, model.upperPositionLimit = np.full(n, -np.inf), np.full(n, np.inf)
     model.velocityLimit = np.full(n, np.inf)
@@ -99,22 +107,28 @@ def denavit_hartenberg(description: Mapping[str, Any]) -> ArmTables:
         return np.array([link[name] for link in links], float)
 
     return tables_of(model)._replace(
-        offset=column("offset"), gear=column("G"), viscous=column("B"), coulomb=column("Tc")
+        offset=column("offset"),
+        motor_inertia=column("Jm"),
+        gear=column("G"),
+        viscous=column("B"),
+        coulomb=column("Tc"),
     )
 
 
 def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
     """Tables of a URDF; lock: names of joints that are held at their neutral position (a gripper's fingers, say).
 
-    Gear ratios are 1, friction and limits are those of the URDF; limits of zero width, which many files carry where
-    nobody knew better, are none. Raises `ValueError` for a file that Pinocchio cannot read, for joints that are not
-    revolute, and for joints that move no mass.
+    Gear ratios are 1, motors have no inertia, friction and limits are those of the URDF; limits of zero width, which
+    many files carry where nobody knew better, are none. Raises `ValueError` for a file that Pinocchio cannot read, for
+    joints that are not revolute or mimic others, and for joints that move no mass.
     """
     path = Path(file).expanduser()
     if not path.is_file():
-        raise ValueError(f"physics.urdf: expected a URDF file, found no such file: {file}")
+        found = "a folder" if path.is_dir() else "no such file"
+        raise ValueError(f"physics.urdf: expected a URDF file, found {found}: {file}")
     try:
-        model = pin.buildModelFromUrdf(str(path))
+        with _silence():  # the parser writes lines of its own
+            model = pin.buildModelFromUrdf(str(path), mimic=True)
     except Exception as problem:  # Pinocchio's parser raises what it likes
         reason = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
         raise ValueError(f"physics.urdf: {file}: expected a URDF that Pinocchio can read, found {reason}") from None
@@ -130,12 +144,26 @@ def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
     where = f"physics.urdf: {file}: "
     tables = tables_of(model, where)
     _check_mass(tables, where)
-    frozen = tables.position_max <= tables.position_min
+    frozen = tables.position_max == tables.position_min
     return tables._replace(
         position_min=np.where(frozen, -np.inf, tables.position_min),
         position_max=np.where(frozen, np.inf, tables.position_max),
         velocity_max=np.where(tables.velocity_max > 0, tables.velocity_max, np.inf),
     )
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Sends what C++ writes to standard error away."""
+    sys.stderr.flush()
+    before, away = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(away, 2)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)
+        os.close(away)
 
 
 def _check_mass(tables: ArmTables, where: str) -> None:
@@ -178,7 +206,7 @@ def tables_of(model: pin.Model, where: str = "") -> ArmTables:
         mass=np.array([inertia.mass for inertia in inertias]),
         center=np.stack([t.T @ inertia.lever for t, inertia in zip(turned, inertias, strict=True)]),
         inertia=np.stack([t.T @ inertia.inertia @ t for t, inertia in zip(turned, inertias, strict=True)]),
-        armature=np.array(model.armature, float),
+        motor_inertia=np.array(model.armature, float),
         gear=np.ones(n),
         viscous=np.array(model.damping, float),
         coulomb=np.array(model.friction, float),
@@ -197,11 +225,18 @@ def pinocchio_model(tables: ArmTables) -> pin.Model:
     for i, parent in enumerate(tables.parents):
         placement = pin.SE3(tables.rotation[i] @ turn_z(tables.offset[i]), tables.position[i])
         joint = model.addJoint(parent + 1, pin.JointModelRZ(), placement, tables.joints[i])
-        body = pin.Inertia(tables.mass[i], tables.center[i], tables.inertia[i])
-        model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+        model.appendBodyToJoint(joint, _body(tables, i), pin.SE3.Identity())
     model.armature = np.array(tables.armature)
     model.gravity.linear = np.array(tables.gravity)
     return model
+
+
+def _body(tables: ArmTables, i: int) -> pin.Inertia:
+    """By its ten parameters: given as a matrix, Pinocchio refuses the inertia of a point mass for its rounding."""
+    mass, center = tables.mass[i], tables.center[i]
+    about = tables.inertia[i] + mass * (center @ center * np.eye(3) - np.outer(center, center))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = about
+    return pin.Inertia.FromDynamicParameters(np.array([mass, *(mass * center), xx, xy, yy, xz, yz, zz]))
 
 
 def turn_z(angle: float) -> Float[np.ndarray, "3 3"]:
@@ -216,7 +251,8 @@ def _turned_to_z(model: pin.Model, data: pin.Data, i: int, where: str) -> Float[
     joint, name = model.joints[i], model.names[i]
     subspace = np.asarray(data.joints[i].S, float).reshape(6, -1) if joint.nv else np.empty((6, 0))
     if subspace.shape[1] != 1:
-        kind = "floating base" if joint.nv == 6 else f"joint of {joint.nv} degrees of freedom"
+        kinds = {0: "joint that mimics another", 6: "floating base"}
+        kind = kinds.get(joint.nv, f"joint of {joint.nv} degrees of freedom")
         raise ValueError(f"{where}joint {name!r}: expected revolute joints on a fixed base, found a {kind}")
     if np.any(subspace[:3] != 0):
         kind = "helical" if np.any(subspace[3:] != 0) else "prismatic"

@@ -88,7 +88,7 @@ def with_rotor(tables: ArmTables, model: pin.Model) -> tuple[ArmTables, pin.Mode
     """Both with an armature, which a URDF has none of."""
     rotor = np.linspace(0.1, 0.3, tables.n)
     model.armature = rotor.copy()
-    return tables._replace(armature=rotor), model
+    return tables._replace(motor_inertia=rotor), model
 
 
 def states(n: int, count: int, seed: int = 0) -> tuple[np.ndarray, ...]:

@@ -238,3 +238,46 @@ def test_measurement_reads_positions_unless_unknown():
 def test_bad_settings_are_named(settings, message):
     with pytest.raises(ValueError, match=message):
         arm(**settings)
+
+
+def test_friction_brakes_whatever_way_the_motor_turns():
+    gear = KUKA.gear
+    v = np.linspace(-0.5, 0.5, 6)
+    x, u = np.concatenate([np.zeros(6), v]), np.zeros(6)
+    with jax.enable_x64(True):
+        found = []
+        for sign in (1.0, -1.0):
+            physics = arm(gear_ratio=sign * gear, limits=False, dt=1e-4)
+            found.append(np.asarray(physics.step(physics.params, jnp.asarray(x), jnp.asarray(u))))
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
+
+
+def test_the_motors_inertia_follows_the_gear():
+    x, u = np.zeros(12), np.full(6, 1e-3)
+    with jax.enable_x64(True):
+        steps = []
+        for settings in ({}, {"motor_inertia": 4.0 * KUKA.motor_inertia, "gear_ratio": KUKA.gear / 2.0}):
+            free = {"gravity": (0.0, 0.0, 0.0), "viscous_friction": 0.0, "coulomb_friction": 0.0, "dt": 1e-3}
+            physics = arm(**settings, **free)
+            pushed = u if not settings else 2.0 * u
+            steps.append(np.asarray(physics.step(physics.params, jnp.asarray(x), jnp.asarray(pushed))))
+    np.testing.assert_allclose(steps[0], steps[1], rtol=1e-12)
+
+
+def test_a_gear_of_zero_is_named():
+    with pytest.raises(ValueError, match="physics.gear_ratio: expected numbers other than 0"):
+        arm(gear_ratio=0.0)
+
+
+def test_an_arm_can_be_checked_where_64_bits_are_on():
+    with jax.enable_x64(True):
+        check_physics(arm(), "arm")
+
+
+def test_a_wrong_skeleton_is_named():
+    with pytest.raises(ValueError, match="skeleton: expected points"):
+        check_physics(arm()._replace(skeleton=lambda q: q), "arm")
+
+
+def test_without_limits_no_position_is_too_large():
+    assert {signal.range for signal in arm(limits=False).outputs} == {(-np.inf, np.inf)}

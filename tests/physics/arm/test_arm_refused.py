@@ -13,6 +13,18 @@ from pgrssnn_jax.physics.arm.tables import described, read_urdf, tables_of
         ((Joint("base_moves", kind="floating", more=""),), (), "joint 'base_moves_joint': .*found a floating base"),
         ((Joint("table", kind="planar", more=""),), (), "found a joint of 3 degrees of freedom"),
         ((Joint("stiff", kind="fixed", more=""),), (), "expected at least one revolute joint, found none"),
+        (
+            (
+                Joint("first"),
+                Joint(
+                    "second",
+                    "first",
+                    more="<mimic joint='first_joint'/><limit lower='-1' upper='1' effort='1' velocity='1'/>",
+                ),
+            ),
+            (),
+            "joint 'second_joint': .*found a joint that mimics another",
+        ),
         (PENDULUM, ("elbow",), r"physics.lock: expected names among \['swing_joint'\], found 'elbow'"),
         (PENDULUM, ("swing_joint",), "expected at least one revolute joint, found none"),
         (PENDULUM, ("universe",), "physics.lock: expected names among"),
