@@ -140,7 +140,7 @@ def test_an_estimated_start_is_found_through_the_arm(tmp_path):
 
 @pytest.mark.parametrize("more", ["fit.physics_parameters=trained", "initial_state=estimated"])
 def test_what_needs_the_gradient_of_the_physics_is_refused_without_it(more):
-    with pytest.raises(ValueError, match="physics_gradient: expected full with " + more.split(".")[-1]):
+    with pytest.raises(ValueError, match=f"physics_gradient: expected full with {more}, "):
         planned("+experiment=robot_real", *SMALL, "physics.physics_gradient=stopped", more)
 
 

@@ -23,7 +23,7 @@ from pgrssnn_jax.physics.arm.tables import ArmTables, described, read_urdf
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
 from pgrssnn_jax.physics.integrate import zero_order_hold
 
-PerJoint = float | Sequence[float] | None
+PerJoint = float | Sequence[float] | np.ndarray | None
 BACKENDS: dict[str, Callable[[ArmTables], jax_dynamics.ForwardDynamics]] = {
     "jax": jax_dynamics.forward_dynamics,
     "pinocchio": pinocchio_dynamics.forward_dynamics,

@@ -185,12 +185,6 @@ def test_two_threads_call_at_the_same_time():
     assert not wrong
 
 
-def test_more_threads_give_the_same_numbers():
-    args = [jnp.asarray(x, jnp.float32) for x in given(33)]
-    two = jax.jit(jax.vmap(forward_dynamics(KUKA, threads=2)))
-    np.testing.assert_array_equal(two(*args), jax.jit(jax.vmap(KEEPS))(*args))
-
-
 def test_one_bad_sample_spoils_no_other():
     q, v, tau = (x.astype(np.float32) for x in given(3))
     mapped = jax.jit(jax.vmap(value_and_pull(KEEPS)))

@@ -108,7 +108,7 @@ def same_arm(a: ArmTables, b: ArmTables):
     assert (a.joints, a.parents) == (b.joints, b.parents)
     turned = [np.stack([r @ turn_z(o) for r, o in zip(t.rotation, t.offset, strict=True)]) for t in (a, b)]
     np.testing.assert_allclose(*turned, atol=1e-15)
-    for name in ("position", "mass", "center", "inertia", "motor_inertia", "gravity"):
+    for name in ("position", "mass", "center", "inertia", "armature", "gravity"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=1e-13, atol=1e-13)
 
 
