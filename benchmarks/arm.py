@@ -9,7 +9,6 @@ import argparse
 import json
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ import numpy as np
 import pinocchio as pin
 from rich.console import Console
 from rich.table import Table
+from timing import medians
 
 from pgrssnn_jax.fit import Fit, FitSettings
 from pgrssnn_jax.initial_state import InitialState
@@ -74,7 +74,7 @@ def free_runs(samples: int, repeats: int) -> dict[str, dict[str, float]]:
                 calls[name] = lambda call=call, u=u: call(u)
     evaluations = SEQUENCES * samples * STAGES
     found = medians(calls, repeats)
-    return {name: {"us": 1e6 * s / evaluations, "compile_s": compiled[name]} for name, s in found.items()}
+    return {name: {"us": 1e3 * ms / evaluations, "compile_s": compiled[name]} for name, ms in found.items()}
 
 
 def free_run(physics: Physics, u: np.ndarray) -> tuple[Any, Any, jax.Array]:
@@ -99,7 +99,7 @@ def pinocchio_alone(repeats: int) -> dict[str, dict[str, float]]:
     arrays = np.random.default_rng(0).uniform(-1, 1, (3, JOINTS, SEQUENCES))
     q, v, tau = (np.asfortranarray(a) for a in arrays)
     found = medians({"alone": lambda: [pin.abaInParallel(1, pool, q, v, tau) for _ in range(200)]}, repeats)
-    return {"Pinocchio's C++ alone, forward": {"us": 1e6 * found["alone"] / 200 / SEQUENCES, "compile_s": 0.0}}
+    return {"Pinocchio's C++ alone, forward": {"us": 1e3 * found["alone"] / 200 / SEQUENCES, "compile_s": 0.0}}
 
 
 def epochs(samples: int, repeats: int) -> dict[str, dict[str, float]]:
@@ -114,7 +114,7 @@ def epochs(samples: int, repeats: int) -> dict[str, dict[str, float]]:
         compiled[gradient] = time.perf_counter() - started
         calls[gradient] = lambda call=call, state=state, data=data: call(state, data)
     found = medians(calls, max(2, repeats // 2))
-    return {name: {"s": s / per_call, "compile_s": compiled[name]} for name, s in found.items()}
+    return {name: {"s": ms / 1e3 / per_call, "compile_s": compiled[name]} for name, ms in found.items()}
 
 
 def training(physics: Physics, samples: int, per_call: int) -> tuple[Fit, MemberData]:
@@ -137,19 +137,6 @@ def robot_record(physics: Physics, samples: int) -> Record:
     )
     y = np.random.default_rng(1).uniform(-0.5, 0.5, (SEQUENCES, samples, JOINTS))
     return cast(record(torques(samples), y, info), np.float32)
-
-
-def medians(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Median seconds of every call, warmed up and then measured in turn, so that a busy moment meets all of them."""
-    for call in calls.values():
-        jax.block_until_ready(call())
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            started = time.perf_counter()
-            jax.block_until_ready(call())
-            times[name].append(time.perf_counter() - started)
-    return {name: float(np.median(values)) for name, values in times.items()}
 
 
 def show(figures: dict[str, Any], samples: int) -> None:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from timing import medians
 
 from pgrssnn_jax.entry import set_up_jax
 from pgrssnn_jax.fit import Fit, FitSettings
@@ -150,19 +151,6 @@ def throughput(physics: Physics, *, sequences: int, steps: int, repeats: int) ->
         run = jax.jit(lambda u, route=route: rollout(objective.model, params, u, x0, route=route).y)
         calls[route] = lambda run=run: run(u)
     return {name: sequences * steps / (ms / 1e3) for name, ms in medians(calls, repeats).items()}
-
-
-def medians(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Median ms of every call, compiled first and then measured in turn, so that a busy moment meets all of them."""
-    for call in calls.values():
-        jax.block_until_ready(call())
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            started = time.perf_counter()
-            jax.block_until_ready(call())
-            times[name].append(1e3 * (time.perf_counter() - started))
-    return {name: float(np.median(values)) for name, values in times.items()}
 
 
 def show(figures: dict[str, Any]) -> None:
