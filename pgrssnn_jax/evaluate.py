@@ -113,15 +113,6 @@ def ensemble(rows: Sequence[dict[str, Any]], test: Record, predictions: Predicti
     return chosen.mean(0), chosen.std(0)
 
 
-def shown(rows: Sequence[dict[str, Any]], predictions: Predictions, ensemble_mean: np.ndarray) -> np.ndarray:
-    """The prediction `[seq, time, y]` that stands for the run in pictures: the ensemble's, or, where members predict
-    different test records, the mean over the finished members of the first dataset; NaN if there is none."""
-    chosen = [i for i, row in enumerate(rows) if row["status"] == "ok" and row["dataset"] == rows[0]["dataset"]]
-    if np.isfinite(ensemble_mean).any() or not chosen:
-        return ensemble_mean
-    return predictions.test[chosen].astype(np.float64).mean(0)
-
-
 def summary(
     rows: Sequence[dict[str, Any]], test: Record, ensemble_mean: np.ndarray, n_inits: Sequence[int]
 ) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from pgrssnn_jax.members import keys_of, map_members
 from pgrssnn_jax.plan import Plan, loose, plain, plan_training
 from pgrssnn_jax.progress import training_bar
 from pgrssnn_jax.records import take
+from pgrssnn_jax.reports.prediction import compared
 from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
 from pgrssnn_jax.reports.write import write_report
 from pgrssnn_jax.resume import resume_config
@@ -198,7 +199,7 @@ def _evaluated(
     if physics.skeleton is not None:
         poses = {
             "measured": np.where(test.mask[0], test.y[0], np.nan),
-            "predicted": evaluate.shown(rows, predictions, mean),
+            "predicted": compared(arrays, metrics).mean,
         }
         arrays |= {f"skeleton_{name}": physics.skeleton(y).astype(np.float32) for name, y in poses.items()}
     return metrics, arrays

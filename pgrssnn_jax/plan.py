@@ -124,7 +124,7 @@ def plan_fit(config: Mapping[str, Any]) -> Fit:
     start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
     initial = call_with(InitialState, start, "initial_state")
     train_physics = settings.physics_parameters == "trained"
-    if config["physics"].get("physics_gradient") == "stopped" and (train_physics or initial.kind == "estimated"):
+    if not model.physics.differentiable and (train_physics or initial.kind == "estimated"):
         what = "fit.physics_parameters=trained" if train_physics else "initial_state=estimated"
         raise ValueError(
             f"physics.physics_gradient: expected full with {what}, which needs the gradient, found stopped"

@@ -104,18 +104,6 @@ def test_members_with_different_test_records_have_no_ensemble():
     assert np.isfinite(evaluate.summary(rows, test, mean, [0])["rmse_mean"])
 
 
-def test_pictures_show_the_ensemble_or_else_the_first_dataset():
-    state, test, predictions = case(outcomes=(0, 2, 0))
-    rows = rows_of(state, test, predictions)
-    mean, _ = evaluate.ensemble(rows, test, predictions)
-    np.testing.assert_array_equal(evaluate.shown(rows, predictions, mean), mean)
-    nothing = np.full_like(mean, np.nan)
-    together = predictions.test[[0, 2]].mean(0)
-    np.testing.assert_allclose(evaluate.shown(rows, predictions, nothing), together)
-    apart = [{**row, "dataset": i} for i, row in enumerate(rows)]
-    np.testing.assert_allclose(evaluate.shown(apart, predictions, nothing), predictions.test[0])
-
-
 def test_one_member_has_no_spread():
     state, test, predictions = case(outcomes=(0, 2, 2))
     rows = rows_of(state, test, predictions)

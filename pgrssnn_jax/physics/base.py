@@ -56,7 +56,8 @@ class Signal(NamedTuple):
 class Physics(NamedTuple):
     """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
     pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
-    there is nothing to draw. remark: a line for the user of what the physics was built from."""
+    there is nothing to draw. remark: a line for the user of what the physics was built from.
+    differentiable: does `step` let gradients through?"""
 
     name: str
     step: Step
@@ -70,6 +71,7 @@ class Physics(NamedTuple):
     reads: Literal["after_step", "before_step"] = "after_step"
     skeleton: Skeleton | None = None
     remark: str = ""
+    differentiable: bool = True
 
 
 def is_parameter(leaf: object) -> bool:
@@ -90,6 +92,7 @@ def discrete(
     reads: Literal["after_step", "before_step"] = "after_step",
     skeleton: Skeleton | None = None,
     remark: str = "",
+    differentiable: bool = True,
 ) -> Physics:
     """A `Physics` from x_t = step(params, x_{t-1}, u_t).
 
@@ -124,7 +127,19 @@ def discrete(
     if not dt > 0:
         raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
     return Physics(
-        name, step, measure, dict(params), meanings, states, inputs, outputs, float(dt), reads, skeleton, remark
+        name,
+        step,
+        measure,
+        dict(params),
+        meanings,
+        states,
+        inputs,
+        outputs,
+        float(dt),
+        reads,
+        skeleton,
+        remark,
+        differentiable,
     )
 
 

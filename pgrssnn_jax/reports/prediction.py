@@ -20,7 +20,7 @@ READABLE = 1500
 WINDOW = 300
 
 
-class _Shown(NamedTuple):
+class Compared(NamedTuple):
     """What is compared with the measurement: members `[member, seq, time, y]`, their mean and std, and their names."""
 
     y_hat: np.ndarray
@@ -54,7 +54,7 @@ def prediction_figure(
     rows = -(-n_y // columns)
     body = rows * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
     of_which = f" · sequence {sequence + 1} of {n_seq}" if n_seq > 1 else ""
-    shown = _shown(predictions, metrics)
+    shown = compared(predictions, metrics)
     extent = f"samples {start} to {stop - 1} of {time}"
     if whole:
         extent = "one sample" if time == 1 else f"all {time} samples"
@@ -102,7 +102,7 @@ def _result(metrics: Metrics) -> str:
     )
 
 
-def _shown(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> _Shown:
+def compared(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Compared:
     """The finished members and their ensemble.
 
     Where members were tested on different records there is no ensemble, and `y` is the record of the first member:
@@ -112,16 +112,16 @@ def _shown(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> _Shown:
     ok = np.array([member["status"] == "ok" for member in members], bool)
     mean, std = (np.asarray(predictions[name], np.float64) for name in ("ensemble_mean", "ensemble_std"))
     if not ok.any() or np.isfinite(mean).any():
-        return _Shown(y_hat[ok], mean, std, "ensemble mean", "")
+        return Compared(y_hat[ok], mean, std, "ensemble mean", "")
     dataset = members[0]["dataset"]
     ok &= np.array([member["dataset"] == dataset for member in members], bool)
     remark = f"only dataset {dataset}: members have test records of their own, hence no ensemble · "
     if ok.any():
         mean, std = y_hat[ok].mean(0), y_hat[ok].std(0)
-    return _Shown(y_hat[ok], mean, std, f"mean of dataset {dataset}", remark)
+    return Compared(y_hat[ok], mean, std, f"mean of dataset {dataset}", remark)
 
 
-def _signal(predictions: Mapping[str, np.ndarray], shown: _Shown, sequence: int, k: int) -> Signal:
+def _signal(predictions: Mapping[str, np.ndarray], shown: Compared, sequence: int, k: int) -> Signal:
     def cut(values: np.ndarray) -> np.ndarray:
         values = np.asarray(values[..., sequence, :, k], np.float64)
         return np.where(np.isfinite(values), values, np.nan)
@@ -130,7 +130,7 @@ def _signal(predictions: Mapping[str, np.ndarray], shown: _Shown, sequence: int,
     return Signal(measured, cut(shown.y_hat), cut(shown.mean), cut(shown.std))
 
 
-def _handles(shown: _Shown) -> list[Line2D | Patch]:
+def _handles(shown: Compared) -> list[Line2D | Patch]:
     measured = Line2D([], [], color=style.TRUTH, linewidth=2.8, label="measured")
     if not len(shown.y_hat):
         return [measured]

@@ -19,7 +19,8 @@ from jaxtyping import Float
 
 from pgrssnn_jax.physics.arm import jax_dynamics, pinocchio_dynamics
 from pgrssnn_jax.physics.arm.kinematics import skeleton
-from pgrssnn_jax.physics.arm.tables import ArmTables, described, read_urdf
+from pgrssnn_jax.physics.arm.tables import ArmTables, described
+from pgrssnn_jax.physics.arm.urdf import read_urdf
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
 from pgrssnn_jax.physics.integrate import zero_order_hold
 
@@ -116,6 +117,7 @@ def arm(
         dt=dt,
         skeleton=skeleton(tables) if _is_chain(tables) else None,
         remark="" if urdf is None else _numbered(tables),
+        differentiable=physics_gradient == "full",
     )
 
 

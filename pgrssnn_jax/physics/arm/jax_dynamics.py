@@ -192,7 +192,7 @@ def _world(chain: _Chain, q: Batch) -> _World:
 def _frames(chain: _Chain, q: Batch) -> tuple[list[list[jax.Array]], Vector]:
     """Rotation matrices, `[row][column] -> [n, batch]`, and origins of the joint frames in the world.
 
-    The barriers keep the compiler from computing a link's frame again in every link behind it (0.4 µs of 1.1).
+    The barriers keep the compiler from computing a link's frame again in every link behind it (0.3 µs of 1.0).
     """
     keep = jax.lax.optimization_barrier
     c, s = keep((jnp.cos(q), jnp.sin(q)))

@@ -1,6 +1,5 @@
 """Arms that several tests share, and the documented equation of the arm in plain NumPy."""
 
-import contextlib
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -8,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-import pytest
 
-from pgrssnn_jax.physics.arm.tables import ArmTables, described, pinocchio_model, read_urdf
+from pgrssnn_jax.physics.arm.tables import ArmTables, described, pinocchio_model
+from pgrssnn_jax.physics.arm.urdf import read_urdf
 
 KUKA = described("kuka_kr300", "reference")
 S = np.array([-0.05, 0.1, -0.2, 0.05, 0.1, -0.1])
@@ -69,11 +68,8 @@ def urdf(folder: Path, joints: tuple[Joint, ...], seed: int = 3) -> Path:
 @cache
 def published(name: str) -> Path:
     """A URDF of the pip package example-robot-data."""
-    with contextlib.suppress(metadata.PackageNotFoundError):
-        for file in metadata.files("example-robot-data") or ():
-            if file.name == name:
-                return Path(str(file.locate())).resolve()
-    pytest.skip("example-robot-data is not installed")
+    found = (file for file in metadata.files("example-robot-data") or () if file.name == name)
+    return Path(str(next(found).locate())).resolve()
 
 
 def sample_arm(name: str, folder: Path) -> tuple[ArmTables, pin.Model]:

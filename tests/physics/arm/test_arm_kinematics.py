@@ -5,7 +5,8 @@ from arm_samples import KUKA, OBLIQUE, TREE, published, states, urdf
 
 from pgrssnn_jax.physics.arm.arm import arm
 from pgrssnn_jax.physics.arm.kinematics import skeleton
-from pgrssnn_jax.physics.arm.tables import pinocchio_model, read_urdf
+from pgrssnn_jax.physics.arm.tables import pinocchio_model
+from pgrssnn_jax.physics.arm.urdf import read_urdf
 
 
 @pytest.fixture(params=["kuka", "oblique", "ur5_robot.urdf"])

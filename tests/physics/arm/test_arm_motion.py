@@ -10,7 +10,7 @@ from jax.test_util import check_grads
 from toys import quick_jit
 
 from pgrssnn_jax.physics.arm.jax_dynamics import forward_dynamics
-from pgrssnn_jax.physics.arm.tables import read_urdf
+from pgrssnn_jax.physics.arm.urdf import read_urdf
 from pgrssnn_jax.physics.integrate import rk4_looped
 
 pytestmark = pytest.mark.usefixtures("x64")

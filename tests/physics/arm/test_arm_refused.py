@@ -2,7 +2,8 @@ import pinocchio as pin
 import pytest
 from arm_samples import PENDULUM, Joint, urdf
 
-from pgrssnn_jax.physics.arm.tables import described, read_urdf, tables_of
+from pgrssnn_jax.physics.arm.tables import described, tables_of
+from pgrssnn_jax.physics.arm.urdf import read_urdf
 
 
 @pytest.mark.parametrize(

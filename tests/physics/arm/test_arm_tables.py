@@ -3,15 +3,8 @@ import pinocchio as pin
 import pytest
 from arm_samples import KUKA, OBLIQUE, PENDULUM, TREE, Joint, accelerations, in_model, published, states, urdf
 
-from pgrssnn_jax.physics.arm.tables import (
-    ArmTables,
-    described,
-    pinocchio_model,
-    read_description,
-    read_urdf,
-    tables_of,
-    turn_z,
-)
+from pgrssnn_jax.physics.arm.tables import ArmTables, described, pinocchio_model, read_description, tables_of, turn_z
+from pgrssnn_jax.physics.arm.urdf import read_urdf
 
 LINKS = read_description("kuka_kr300")["links"]
 
