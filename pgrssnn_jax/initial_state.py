@@ -13,6 +13,7 @@ it starts from its own first output, or from the least-squares estimate over its
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import jax
@@ -55,10 +56,10 @@ def start_state(model: Model, params: ModelParams, record: Record, initial: Init
 
 
 def first_output_states(model: Model, record: Record) -> Float[jax.Array, "seq x"]:
-    """x_0 from the first sample of every output that was measured."""
+    """x_0 from the first sample of every output that was measured, and the first input."""
     first = jnp.argmax(jnp.asarray(record.mask), axis=1, keepdims=True)
     y = jnp.take_along_axis(jnp.asarray(record.y), first, axis=1)[:, 0]
-    return jax.vmap(lambda y: first_output_state(model, y))(y)
+    return jax.vmap(partial(first_output_state, model))(y, jnp.asarray(record.u)[:, 0])
 
 
 def _estimate(model: Model, params: ModelParams, record: Record, n_init: int, guess: jax.Array) -> jax.Array:

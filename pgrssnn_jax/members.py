@@ -53,21 +53,26 @@ def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]
             return jax.vmap(one)(*trees)
         return jax.lax.map(lambda args: one(*args), trees, batch_size=mapping.sub_batch)
 
-    if mapping.devices == 1:
-        return on_one_device
+    return over_devices(on_one_device, mapping.devices)
 
-    chosen = jax.devices()[: mapping.devices]
-    mesh = jax.make_mesh((mapping.devices,), ("member",), axis_types=(AxisType.Auto,), devices=chosen)
+
+def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., Any]:
+    """The same function of trees with a leading axis, that axis sharded over the first `devices` JAX devices; padded to
+    a multiple of them with copies of the last entry, which are dropped again."""
+    if devices == 1:
+        return function
+    chosen = jax.devices()[:devices]
+    mesh = jax.make_mesh((devices,), ("member",), axis_types=(AxisType.Auto,), devices=chosen)
     spec = PartitionSpec("member")
-    sharded = jax.shard_map(on_one_device, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+    sharded = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
 
-    def over_devices(*trees: Any) -> Any:
+    def on_devices(*trees: Any) -> Any:
         count = len(jax.tree.leaves(trees)[0])
-        missing = -count % mapping.devices
+        missing = -count % devices
         padded = jax.tree.map(partial(_pad, missing=missing), trees)
         return jax.tree.map(lambda a: a[:count], sharded(*padded))
 
-    return over_devices
+    return on_devices
 
 
 def keys_of(chosen: Sequence[Member]) -> jax.Array:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from flax import nnx
 
 from pgrssnn_jax.networks import ACTIVATIONS, ModelSpec, Networks
-from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.base import Physics, Signal
 from pgrssnn_jax.records import Record
 from pgrssnn_jax.scaling import Scaling, fit_scaling, identity
 
@@ -77,14 +77,22 @@ def model_scaling(model: Model, train: Record, *, rates_like_outputs: bool = Fal
     return scaling if model.spec.guided else scaling._replace(x=identity(model.n_x))
 
 
-def first_output_state(model: Model, y_first: jax.Array) -> jax.Array:
-    """x_0 `[n_x]` from the first measured output `[n_y]`: states that are `like` an output take its value, others 0.
+def first_output_state(model: Model, y_first: jax.Array, u_first: jax.Array) -> jax.Array:
+    """x_0 `[n_x]` from the first measured output `[n_y]` and input `[n_u]`: a state with a known start takes it, one
+    that is `like` an output or `holds` an input takes its value, others 0.
 
     A black box's states have no physical meaning and start at 0.
     """
-    names = [signal.name for signal in model.physics.outputs]
-    start = [
-        y_first[names.index(state.like)] if state.like and model.spec.guided else jnp.zeros((), y_first.dtype)
-        for state in model.physics.states
-    ]
-    return jnp.stack(start)
+    outputs, inputs = ([s.name for s in signals] for signals in (model.physics.outputs, model.physics.inputs))
+    zero = jnp.zeros((), y_first.dtype)
+
+    def start(state: Signal) -> jax.Array:
+        if not model.spec.guided:
+            return zero
+        if state.start is not None:
+            return zero + state.start
+        if state.like is not None:
+            return y_first[outputs.index(state.like)]
+        return zero if state.holds is None else u_first[inputs.index(state.holds)]
+
+    return jnp.stack([start(state) for state in model.physics.states])

@@ -15,6 +15,7 @@ from pgrssnn_jax.datasets.csv import load_csv
 from pgrssnn_jax.datasets.lgssm import load_lgssm
 from pgrssnn_jax.datasets.robot import load_robot_real, load_robot_simulated
 from pgrssnn_jax.datasets.tanks import load_cascaded_tank
+from pgrssnn_jax.effects.discovered import discovered_physics
 from pgrssnn_jax.fit import Fit, FitSettings
 from pgrssnn_jax.initial_state import InitialState
 from pgrssnn_jax.model import build_model, model_scaling
@@ -91,7 +92,7 @@ def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> P
         notify(model.physics.remark)
     splits = load_splits(config["data"], model.physics, notify)
     _check_records(splits, initial, model.physics)
-    published = _conventions(config["data"]).published_scaling
+    published = conventions(config["data"]).published_scaling
     rates_like_outputs = published and _has_rates(model.physics)
     standardised = published and not rates_like_outputs
     worked_on, units = standardise(splits) if standardised else (splits, measured_units(splits))
@@ -120,7 +121,7 @@ def plan_fit(config: Mapping[str, Any]) -> Fit:
     spec = call_with(ModelSpec, _without(config["model"], "name"), "model")
     model = build_model(spec, load_physics(config["physics"]))
     settings = call_with(FitSettings, config["fit"], "fit")
-    shared = _conventions(config["data"]).shared_initial_state
+    shared = conventions(config["data"]).shared_initial_state
     start = {"kind": config["initial_state"], "n_init": config["n_init"], "shared": shared}
     initial = call_with(InitialState, start, "initial_state")
     train_physics = settings.physics_parameters == "trained"
@@ -156,7 +157,13 @@ def loose(config: DictConfig) -> dict[str, Any]:
 
 
 def load_physics(group: Mapping[str, Any]) -> Physics:
-    """Calls the function named by `physics._target_` with the other keys of the group and checks what it returns."""
+    """Calls the function named by `physics._target_` with the other keys of the group and checks what it returns.
+
+    effects: a `discovery.json`, whose physics takes the place of the group's settings.
+    """
+    if group.get("effects") is not None:
+        return discovered_physics(group, load_physics)
+    group = _without(group, "effects")
     target = str(group["_target_"])
     module, _, name = target.rpartition(".")
     try:
@@ -213,7 +220,8 @@ def _has_rates(physics: Physics) -> bool:
     return any(state.rate_of for state in physics.states)
 
 
-def _conventions(group: Mapping[str, Any]) -> DataConventions:
+def conventions(group: Mapping[str, Any]) -> DataConventions:
+    """What a `data` group says beside the loader's arguments."""
     return call_with(DataConventions, {key: group[key] for key in _NOT_OF_THE_LOADER if key in group}, "data")
 
 
@@ -238,7 +246,7 @@ def _check_records(splits: Splits, initial: InitialState, physics: Physics) -> N
     for name, record in zip(Splits._fields, splits, strict=True):
         time = record.u.shape[2]
         for k, signal in enumerate(physics.outputs):
-            _check_range(f"data: {name}", signal, np.asarray(record.y)[..., k][np.asarray(record.mask)[..., k]])
+            check_range(f"data: {name}", signal, np.asarray(record.y)[..., k][np.asarray(record.mask)[..., k]])
         for signal in (record.u, np.where(record.mask, record.y, 0.0)):
             if (largest := np.abs(signal).max()) > _LARGEST:
                 raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
@@ -248,7 +256,8 @@ def _check_records(splits: Splits, initial: InitialState, physics: Physics) -> N
             )
 
 
-def _check_range(where: str, signal: Signal, values: np.ndarray) -> None:
+def check_range(where: str, signal: Signal, values: np.ndarray) -> None:
+    """Raises `ValueError` when values cannot be in the unit of their signal."""
     low, high = signal.range
     if values.size and not (low <= values.min() and values.max() <= high):
         raise ValueError(

@@ -5,7 +5,7 @@ A `Record` holds the inputs and outputs of one or more sequences of equal length
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import jax
@@ -30,7 +30,7 @@ class RecordInfo:
     """What the numbers of a record mean; static, so that a record passes through `jit` and `vmap`.
 
     source: `file`, `download` or `simulated`; origin: where exactly, in words; padded: sequences of unequal length were
-    filled up at their ends, after the last measured sample.
+    filled up at their ends, after the last measured sample; begins: sample of the measured record at which it was cut.
     """
 
     inputs: tuple[Channel, ...]
@@ -39,6 +39,7 @@ class RecordInfo:
     source: str
     origin: str = ""
     padded: bool = False
+    begins: int = 0
 
 
 class Record(NamedTuple):
@@ -116,8 +117,31 @@ def windows(whole: Record, length: int) -> Record:
 def crop(whole: Record, start: int, stop: int) -> Record:
     """The samples `start <= t < stop` of every sequence."""
     return whole._replace(
-        u=whole.u[..., start:stop, :], y=whole.y[..., start:stop, :], mask=whole.mask[..., start:stop, :]
+        u=whole.u[..., start:stop, :],
+        y=whole.y[..., start:stop, :],
+        mask=whole.mask[..., start:stop, :],
+        info=replace(whole.info, begins=whole.info.begins + start),
     )
+
+
+def join(first: Record, second: Record) -> Record:
+    """Two records of `[seq, time, channel]` as one: in time where the second begins where the first ends, else as
+    further sequences, padded at their ends to equal length."""
+    same = replace(first.info, begins=0) == replace(second.info, begins=0)
+    if len(first.u) == len(second.u) == 1 and same and second.info.begins == first.info.begins + first.u.shape[1]:
+        u, y, mask = (np.concatenate(pair, 1) for pair in zip(first[:3], second[:3], strict=True))
+        return Record(u, y, mask, first.info)
+    longest = max(first.u.shape[1], second.u.shape[1])
+    u, y, mask = (np.concatenate(pair) for pair in zip(_padded(first, longest), _padded(second, longest), strict=True))
+    padded = first.info.padded or second.info.padded or first.u.shape[1] != second.u.shape[1]
+    return Record(u, y, mask, replace(first.info, padded=padded))
+
+
+def _padded(whole: Record, time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Signals with their last samples repeated up to `time`, and not measured there."""
+    rest = [(0, 0), (0, time - whole.u.shape[1]), (0, 0)]
+    mask = np.pad(np.asarray(whole.mask), rest, constant_values=False)
+    return np.pad(np.asarray(whole.u), rest, mode="edge"), np.pad(np.asarray(whole.y), rest, mode="edge"), mask
 
 
 def stack(records: Sequence[Record]) -> Record:

@@ -50,7 +50,15 @@ class RunFolder:
         The results of an earlier run in this folder go first: from here on the run is unfinished. command None: a
         resumed run, whose environment and command stay on record.
         """
-        for name in ("DONE", "metrics.json", "predictions.npz", "history.csv", "report.html"):
+        for name in (
+            "DONE",
+            "metrics.json",
+            "predictions.npz",
+            "history.csv",
+            "report.html",
+            "discovery.json",
+            "discovery.npz",
+        ):
             (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.figures, ignore_errors=True)
         self.write_text("config.yaml", config_text)

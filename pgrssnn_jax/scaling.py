@@ -79,10 +79,13 @@ def fit_scaling(train: Record, physics: Physics | None, *, rates_like_outputs: b
         return Scaling(u, identity(0), y)
     outputs = [signal.name for signal in physics.outputs]
     offset, scale = np.zeros(len(physics.states)), np.ones(len(physics.states))
-    if not all(state.like or state.rate_of for state in physics.states):
+    if not all(state.like or state.rate_of or state.holds for state in physics.states):
         simulated = _simulated_states(train, physics)
         offset, scale = simulated.mean(0), simulated.std(0)
     for i, state in enumerate(physics.states):
+        if state.holds is not None:
+            j = [signal.name for signal in physics.inputs].index(state.holds)
+            offset[i], scale[i] = u.offset[j], u.scale[j]
         same = state.like or (state.rate_of if rates_like_outputs else None)
         if same is not None:
             j = outputs.index(same)

@@ -152,7 +152,7 @@ def test_scaling_of_a_black_box_leaves_its_states_alone():
 
 def test_states_like_an_output_start_at_its_first_value():
     y = jnp.array([2.5, -1.0])
-    np.testing.assert_array_equal(first_output_state(toy_model(spec("PG-RSSNN")), y), [2.5, 0.0, 0.0])
-    np.testing.assert_array_equal(first_output_state(toy_model(spec("RSSNN")), y), [0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(first_output_state(toy_model(spec("PG-RSSNN")), y, y), [2.5, 0.0, 0.0])
+    np.testing.assert_array_equal(first_output_state(toy_model(spec("RSSNN")), y, y), [0.0, 0.0, 0.0])
     tanks = build_model(ModelSpec(networks=False), cascaded_tanks())
-    np.testing.assert_array_equal(first_output_state(tanks, y[:1]), [2.5, 2.5])
+    np.testing.assert_array_equal(first_output_state(tanks, y[:1], y[:1]), [2.5, 2.5])

@@ -42,8 +42,9 @@ class Signal(NamedTuple):
     """One state, input or output.
 
     A state may say which output it resembles: `like` an output shares that output's scale and its first
-    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start. range: beyond it a
-    value must be in another unit (degrees for rad); data are checked against it.
+    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start; `holds` an input
+    remembers that input: its scale, and its first value at the start. range: beyond it a value must be in another unit
+    (degrees for rad); data are checked against it. start: its value at the start of a record, where it is known.
     """
 
     name: str
@@ -51,6 +52,8 @@ class Signal(NamedTuple):
     like: str | None = None
     rate_of: str | None = None
     range: tuple[float, float] = (-float("inf"), float("inf"))
+    holds: str | None = None
+    start: float | None = None
 
 
 class Physics(NamedTuple):

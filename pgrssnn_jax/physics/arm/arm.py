@@ -6,6 +6,9 @@
 x = [q, q̇] in rad and rad/s; u: motor torque, Nm on the motor side; G: gear ratio; B, Tc: viscous (Nm s) and Coulomb
 (Nm) friction on the motor side, none at standstill; θ: torque bias on the link side, Nm; S: the published disturbance
 of the velocities. Source: Li, Seth, Kok, IFAC 2026, section 4.3, and the released code.
+
+An arm looks in its parameters for the numbers of effects (`pgrssnn_jax.effects.arm`) by their names: torques in
+`torques.py`, what changes the moving masses in `changed.py`, what happens after the step in `stops.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,23 +21,28 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arm import jax_dynamics, pinocchio_dynamics
+from pgrssnn_jax.physics.arm.changed import extra
+from pgrssnn_jax.physics.arm.jax_dynamics import Derivatives, ForwardDynamics
 from pgrssnn_jax.physics.arm.kinematics import skeleton
+from pgrssnn_jax.physics.arm.stops import stopped_joints, stuck_joints
 from pgrssnn_jax.physics.arm.tables import ArmTables, described
+from pgrssnn_jax.physics.arm.torques import link_torques
 from pgrssnn_jax.physics.arm.urdf import read_urdf
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
 from pgrssnn_jax.physics.integrate import zero_order_hold
 
 PerJoint = float | Sequence[float] | np.ndarray | None
-BACKENDS: dict[str, Callable[[ArmTables], jax_dynamics.ForwardDynamics]] = {
+BACKENDS: dict[str, Callable[[ArmTables, Derivatives], ForwardDynamics]] = {
     "jax": jax_dynamics.forward_dynamics,
     "pinocchio": pinocchio_dynamics.forward_dynamics,
 }
 _BEYOND = 1.0  # rad beyond a limit that a noisy position may still have
 _MEANINGS = {
-    "viscous_friction": Parameter("B", "Nm s", bounds=(0.0, float("inf")), neutral=0.0),
-    "coulomb_friction": Parameter("Tc", "Nm", bounds=(0.0, float("inf")), neutral=0.0),
-    "velocity_disturbance": Parameter("S", "", bounds=(-1.0, 1.0), neutral=0.0),
-    "torque_bias": Parameter("θ", "Nm", neutral=0.0),
+    "G": Parameter("G", "", trainable=False),
+    "B": Parameter("B", "Nm s", bounds=(0.0, float("inf")), neutral=0.0),
+    "Tc": Parameter("Tc", "Nm", bounds=(0.0, float("inf")), neutral=0.0),
+    "S": Parameter("S", "", bounds=(-1.0, 1.0), neutral=0.0),
+    "theta": Parameter("θ", "Nm", neutral=0.0),
 }
 
 
@@ -62,6 +70,7 @@ def arm(
     sub_steps: int = 1,
     backend: Literal["jax", "pinocchio"] = "jax",
     physics_gradient: Literal["full", "stopped"] = "full",
+    derivatives: Derivatives = "reverse",
 ) -> Physics:
     """An arm that comes with the package (robot, preset), or that of a URDF file (urdf, with the joints `lock` held).
 
@@ -69,11 +78,14 @@ def arm(
     stands for all joints. motor_inertia: kg m²; joint_offset, position_min, position_max: rad; velocity_max: rad/s;
     limits: false leaves q and q̇ unlimited. velocity_disturbance: diagonal of S; torque_bias: θ, Nm. measured: false
     when the measurement is not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient
-    through f_phy except that of S, as the released code does. Raises `ValueError` for settings that do not fit the
-    number of joints.
+    through f_phy except that of S, as the released code does. derivatives: the one mode in which f_phy can be
+    differentiated, reverse for training, forward for the Jacobians of least squares. Raises `ValueError` for settings
+    that do not fit the number of joints.
     """
     if physics_gradient not in ("full", "stopped"):
         raise ValueError(f"physics.physics_gradient: expected full or stopped, found {physics_gradient!r}")
+    if derivatives not in ("reverse", "forward"):
+        raise ValueError(f"physics.derivatives: expected reverse or forward, found {derivatives!r}")
     if backend not in BACKENDS:
         raise ValueError(f"physics.backend: expected one of {sorted(BACKENDS)}, found {backend!r}")
     if urdf is None and lock:
@@ -100,11 +112,13 @@ def arm(
     if gravity is not None:
         tables = tables._replace(gravity=_gravity(gravity))
     _check_limits(tables)
-    params = {"viscous_friction": tables.viscous, "coulomb_friction": tables.coulomb}
-    for name, value in (("velocity_disturbance", velocity_disturbance), ("torque_bias", torque_bias)):
+    params = {"G": tables.gear, "B": tables.viscous, "Tc": tables.coulomb}
+    disturbances = {"S": ("velocity_disturbance", velocity_disturbance), "theta": ("torque_bias", torque_bias)}
+    for symbol, (name, value) in disturbances.items():
         if value is not None:
-            params[name] = per_joint(name, value, tables)
-    advance = zero_order_hold(_derivative(tables, backend), dt=dt, integrator=integrator, sub_steps=sub_steps)
+            params[symbol] = per_joint(name, value, tables)
+    derivative = _derivative(tables, BACKENDS[backend](tables, derivatives))
+    advance = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
     return discrete(
         "arm",
         _step(advance, tables, limits=limits, stopped=physics_gradient == "stopped"),
@@ -156,18 +170,11 @@ def _check_limits(tables: ArmTables) -> None:
             raise ValueError(f"physics.velocity_max: expected more than 0 rad/s at {name}, found {fastest:g}")
 
 
-def _derivative(tables: ArmTables, backend: str) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
-    accelerations = BACKENDS[backend](tables)
-
+def _derivative(tables: ArmTables, accelerations: ForwardDynamics) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
     def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
         """d[q, q̇]/dt."""
-        gear = jnp.asarray(tables.gear, x.dtype)
         q, v = jnp.split(x, 2)
-        friction = gear**2 * p["viscous_friction"] * v + jnp.abs(gear) * p["coulomb_friction"] * jnp.sign(v)
-        tau = gear * u - friction
-        if "torque_bias" in p:
-            tau = tau + p["torque_bias"]
-        return jnp.concatenate([v, accelerations(q, v, tau)])
+        return jnp.concatenate([v, accelerations(q, v, link_torques(p, q, v, u), extra(tables, p))])
 
     return derivative
 
@@ -179,13 +186,17 @@ def _step(
     high = np.concatenate([tables.position_max, tables.velocity_max])
 
     def step(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
+        p = jax.tree.map(lambda number: jnp.asarray(number, x.dtype), p)
         known = (p, x, u)
         p_held, x_held, u_held = jax.lax.stop_gradient(known) if stopped else known
         new = advance(p_held, x_held, u_held)
         if limits:
             new = jnp.clip(new, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
+        new = stuck_joints(p_held, stopped_joints(p_held, new))
+        if "S" in p:
+            new = new.at[tables.n :].add(p["S"] * x[tables.n :])
         if "velocity_disturbance" in p:
-            new = new.at[tables.n :].add(p["velocity_disturbance"] * x[tables.n :])
+            new = new.at[tables.n :].add(p["velocity_disturbance"]["S"] * x[tables.n :])
         return new
 
     return step

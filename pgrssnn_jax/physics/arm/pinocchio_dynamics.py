@@ -3,7 +3,7 @@
 A whole batch is one `jax.pure_callback`, whatever was vmapped. Pinocchio computes in float64: float32 arguments are
 cast to float64 on the way in, and the result is rounded to the arguments' precision on the way out. Derivatives:
 
-    q̄ = (∂q̈/∂q)ᵀ ā,     q̇̄ = (∂q̈/∂q̇)ᵀ ā,     τ̄ = M⁻¹ ā
+    q̄ = (∂q̈/∂q)ᵀ ā,     q̇̄ = (∂q̈/∂q̇)ᵀ ā,     τ̄ = M⁻¹ ā,         δq̈ = ∂q̈/∂q δq + ∂q̈/∂q̇ δq̇ + M⁻¹ δτ
 
 with the matrices of `computeABADerivatives` (Carpentier and Mansard, RSS 2018), which come packed beside q̈ from one
 callback and are contracted in JAX, so that no callback ever sees a tangent. Inside the callback there is NumPy and
@@ -20,30 +20,47 @@ import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.arm.jax_dynamics import ForwardDynamics, Joints
+from pgrssnn_jax.physics.arm.chain import Extra
+from pgrssnn_jax.physics.arm.jax_dynamics import Derivatives, ForwardDynamics, Joints
 from pgrssnn_jax.physics.arm.tables import ArmTables, pinocchio_model
 
+_TABLES_ONLY = Extra()
 
-def forward_dynamics(tables: ArmTables) -> ForwardDynamics:
+
+def forward_dynamics(tables: ArmTables, derivatives: Derivatives = "reverse") -> ForwardDynamics:
     """q̈ = f(q, q̇, τ) in rad/s² from rad, rad/s and Nm on the link side, each `[n]`.
 
-    Works under jit, vmap, scan and reverse-mode differentiation. One call uses one thread, because every device calls
-    for itself.
+    Works under jit, vmap, scan and differentiation in one mode. One call uses one thread, because every device calls
+    for itself. The masses are those of the tables: `ValueError` for any `extra`.
     """
     host, n = _Host(tables), tables.n
 
-    @jax.custom_vjp
-    def accelerations(q: Joints, v: Joints, tau: Joints) -> Joints:
+    def alone(q: Joints, v: Joints, tau: Joints) -> Joints:
         return _call(host.accelerations, (n,), q, v, tau)
 
-    def forward(q: Joints, v: Joints, tau: Joints) -> tuple[Joints, Float[jax.Array, "n _"]]:
+    def both(q: Joints, v: Joints, tau: Joints) -> tuple[Joints, Float[jax.Array, "n _"]]:
         packed = _call(host.derivatives, (n, 1 + 3 * n), q, v, tau)
         return packed[:, 0], packed[:, 1:]
 
     def reverse(matrices: Float[jax.Array, "n _"], a_bar: Joints) -> tuple[Joints, ...]:
         return tuple(jnp.split(a_bar @ matrices, 3))
 
-    accelerations.defvjp(forward, reverse)
+    def push(primals: tuple[Joints, ...], tangents: tuple[Joints, ...]) -> tuple[Joints, Joints]:
+        a, matrices = both(*primals)
+        return a, matrices @ jnp.concatenate(tangents)
+
+    if derivatives == "reverse":
+        differentiable = jax.custom_vjp(alone)
+        differentiable.defvjp(both, reverse)
+    else:
+        differentiable = jax.custom_jvp(alone)
+        differentiable.defjvp(push)
+
+    def accelerations(q: Joints, v: Joints, tau: Joints, extra: Extra = _TABLES_ONLY) -> Joints:
+        if jax.tree.leaves(extra):
+            raise ValueError("physics.backend: expected jax for effects on the moving masses, found pinocchio")
+        return differentiable(q, v, tau)
+
     return accelerations
 
 

@@ -135,7 +135,7 @@ def test_stopped_gradient_leaves_that_of_the_disturbance_alone():
     expected[:, np.arange(6, 12), np.arange(6, 12)] = S
     np.testing.assert_array_equal(by_x, expected)
     assert not np.any(by_u)
-    through = by_params.pop("velocity_disturbance")
+    through = by_params.pop("S")
     np.testing.assert_array_equal(through[:, np.arange(6, 12), np.arange(6)], x[:, 6:])
     assert np.count_nonzero(through) == np.count_nonzero(x[:, 6:])
     assert not any(np.any(g) for g in by_params.values())
@@ -176,7 +176,7 @@ def test_full_gradients_are_those_of_the_equation_in_both_backends():
     np.testing.assert_allclose(by_x, slopes(around(x, lambda x: (KUKA, x, u))), atol=1e-6)
     np.testing.assert_allclose(by_u, slopes(around(u, lambda u: (KUKA, x, u))), atol=1e-6)
     friction = slopes(around(KUKA.coulomb, lambda c: (KUKA._replace(coulomb=c), x, u)))
-    np.testing.assert_allclose(by_params["coulomb_friction"], friction, atol=1e-6)
+    np.testing.assert_allclose(by_params["Tc"], friction, atol=1e-6)
     plain = arm(**DISTURBED)
     other = quick_jit(jax.jacrev(plain.step, (0, 1, 2)))(plain.params, x, u)
     for a, b in zip(jax.tree.leaves(other), jax.tree.leaves((by_params, by_x, by_u)), strict=True):
@@ -205,7 +205,7 @@ def test_urdf_brings_its_own_joints(tmp_path):
     check_physics(physics, "arm")
     assert (len(physics.states), len(physics.inputs), len(physics.outputs)) == (6, 3, 3)
     # the URDF says it on the link side, where a gear of 3 makes the motor's friction act nine times
-    np.testing.assert_allclose(physics.params["viscous_friction"], [0.0, 0.0, 0.7 / 9])
+    np.testing.assert_allclose(physics.params["B"], [0.0, 0.0, 0.7 / 9])
     lock = ["panda_finger_joint1", "panda_finger_joint2"]
     assert len(arm(urdf=published("panda.urdf"), lock=lock).inputs) == 7
 
@@ -222,8 +222,8 @@ def test_measurement_reads_positions_unless_unknown():
         ({"viscous_friction": [1.0] * 5}, r"physics.viscous_friction: expected one number or 6, .* found \[1.0, 1.0"),
         ({"torque_bias": float("nan")}, "physics.torque_bias: expected one number or 6, .* found nan"),
         ({"gravity": [0.0, 9.81]}, r"physics.gravity: expected three numbers in m/s², found \[0.0, 9.81\]"),
-        ({"viscous_friction": -1.0}, "viscous_friction: expected 0 to inf"),
-        ({"velocity_disturbance": 2.0}, "velocity_disturbance: expected -1 to 1"),
+        ({"viscous_friction": -1.0}, "B: expected 0 to inf"),
+        ({"velocity_disturbance": 2.0}, "S: expected -1 to 1"),
         ({"position_min": 1.0, "position_max": 0.5}, "physics.position_m.*: expected"),
         ({"velocity_max": -1.0}, "physics.velocity_max: expected"),
         ({"dt": 0.0}, "dt: expected a positive"),

@@ -1,0 +1,19 @@
+"""Find what a physics lacks: python discover.py +experiment=cascaded_tank [discovery.without=[overflow_1to2]]."""
+
+from pgrssnn_jax import entry
+
+entry.check_packages()
+
+import hydra  # noqa: E402
+from omegaconf import DictConfig  # noqa: E402
+
+
+@hydra.main(version_base="1.3", config_path="conf", config_name="discover")
+def main(config: DictConfig) -> None:
+    from pgrssnn_jax.discovery.command import prepare_discovery
+
+    entry.run(prepare_discovery, config)
+
+
+if __name__ == "__main__":
+    entry.call(main)

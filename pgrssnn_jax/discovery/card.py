@@ -1,0 +1,360 @@
+"""What discovery says: `discovery.json` and the arrays of its pictures, from what was found out."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pgrssnn_jax.discovery.locate import box, clear, intervals, signal_map
+from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.discovery.search import Candidate, Stage
+from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.discovery.untestable import untestable
+from pgrssnn_jax.discovery.verdict import Verdict
+from pgrssnn_jax.discovery.workflow import Discovery
+from pgrssnn_jax.effects.base import Effect
+
+_MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
+
+
+def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str, Any]:
+    """The content of `discovery.json`; `numbers` and `physics` are what `physics.effects=FILE` reads."""
+    problem, estimation = found.problem, setup.estimation
+    effects = [_effect(found, name, command) for name in _by_gain(found)]
+    verdict = found.judged.verdict
+    return {
+        "schema": 1,
+        "system": problem.physics.name,
+        "data": {
+            "source": estimation.info.source,
+            "origin": estimation.info.origin,
+            "n_train": int(estimation.mask.any(-1).sum()),
+            "n_test": int(setup.test.mask.any(-1).sum()),
+            "dt": problem.physics.dt,
+        },
+        "verdict": str(verdict),
+        "sentence": _sentence(found, effects),
+        "effects": effects,
+        "alternatives": _alternatives(found),
+        "untestable": untestable(found),
+        "formula": _formula(found),
+        "spectrum": _spectrum(found, setup),
+        "disagreement": disagreement(found),
+        "recalibration": _recalibration(found),
+        "parameters": _parameters(found),
+        "gap": _gap(found),
+        "ranking": _ranking(found),
+        "network": None,
+        "null": {"threshold": _threshold(found.found.first, setup), "draws": len(found.found.first.null)},
+        "seconds": found.seconds,
+        "inputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.inputs],
+        "outputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.outputs],
+        "states": [{"name": s.name, "unit": s.unit} for s in problem.physics.states],
+        "physics": setup.group,
+        "numbers": _numbers(found),
+        "initial_state": _initial_state(found) if setup.shared else None,
+    }
+
+
+def _by_gain(found: Discovery) -> list[str]:
+    """Names of the effects, the one without which the test error would be largest first."""
+    return sorted(found.found.final.estimate.active, key=lambda name: -found.found.stages[name].base.cost)
+
+
+def _closed(found: Discovery, error: float, better: float) -> float:
+    """Part of the recalibrated gap on the test record between two errors."""
+    gap = found.test.recalibrated.error - _floor(found)
+    return (error - better) / gap if gap > 0 else 0.0
+
+
+def _floor(found: Discovery) -> float:
+    """The noise in the figure of merit."""
+    n = max(1, int((found.signals.weight > 0).sum()))
+    relative = (found.found.floor / n) ** 0.5
+    scale = 1.0 if found.merit.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
+    return relative * scale
+
+
+def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
+    problem, search = found.problem, found.found
+    effect, stage = problem.effect(name), search.stages[name]
+    numbers = problem.params(search.final.estimate.theta)[name]
+    std = problem.params(deviations(found))[name]
+    own = next((c for c in stage.candidates if c.name == name), None)
+    runner = next((c for c in stage.candidates if c.name != name), None)
+    acting = _acting(found, effect, numbers)
+    root = stage.base.cost**0.5
+    gap = max(search.recalibrated.cost**0.5 - search.floor**0.5, 1e-300)
+    said: dict[str, Any] = {
+        "name": name,
+        "title": effect.title,
+        "equation": effect.equation,
+        "cause": effect.cause,
+        "acts_on": effect.acts_on,
+        "channels": effect.channels,
+        "parameters": {
+            key: {
+                "value": np.asarray(numbers[key]).tolist(),
+                "std": np.asarray(std[key]).tolist(),
+                "unit": meaning.unit,
+                "symbol": meaning.symbol,
+            }
+            for key, meaning in effect.parameters.items()
+        },
+        "region": _region(found, acting),
+        "active_fraction": float(acting.mean()),
+        "intervals_s": [list(i) for i in intervals(acting[0], problem.physics.dt)][:50],
+        "p_value": stage.p_value(own) if own else None,
+        "gain_train": (root - search.final.cost**0.5) / gap,
+        "gain_test": _closed(found, found.without[name].error, found.test.after.error),
+        "runner_up": {"name": runner.name, "gain": (root - runner.cost**0.5) / gap} if runner else None,
+        "command": command,
+    }
+    if effect.channels == "joint":
+        said["joints"] = _joints(effect, numbers, std)
+    return said
+
+
+def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:
+    """Joints, from 1, whose numbers stand out of their uncertainty."""
+    neutral = effect.neutral()
+    meant: set[int] = set()
+    for key in effect.shapes:
+        value, spread = np.ravel(numbers[key]), np.ravel(std[key])
+        away = np.abs(value - np.ravel(neutral[key]))
+        meant |= {int(j) + 1 for j in np.flatnonzero((away > _MEANT * spread) & (away > 0))}
+    return sorted(meant)
+
+
+def _acting(found: Discovery, effect: Effect, numbers: Mapping[str, Any]) -> np.ndarray:
+    """When the effect acts, `[seq, time]`, in the free run of the final model."""
+    x, u = found.train.after.x, found.signals.u
+    if effect.active is None:
+        return np.ones(u.shape[:2], bool)
+    return np.stack([np.asarray(effect.active(numbers, *pair)) for pair in zip(x, u, strict=True)])
+
+
+def _region(found: Discovery, acting: np.ndarray) -> str:
+    if acting.all():
+        return "everywhere"
+    if not acting.any():
+        return "nowhere in the estimation record"
+    physics = found.problem.physics
+    values = np.concatenate([found.train.after.x[..., : len(physics.states)], found.signals.u], -1)
+    return box(acting.ravel() * 1.0, values.reshape(acting.size, -1), (*physics.states, *physics.inputs)).rule.split(
+        ":"
+    )[0]
+
+
+def deviations(found: Discovery) -> np.ndarray:
+    """Standard deviations of θ from the fits without each fold (delete-a-group jackknife)."""
+    return jackknife(found.found.final.folds)
+
+
+def jackknife(folds: np.ndarray) -> np.ndarray:
+    """Standard deviation `[p]` from estimates `[fold, p]` that each leave one fold out; 0 for infinite limits."""
+    finite = np.where(np.isfinite(folds), folds, 0.0)
+    return np.sqrt((len(folds) - 1) / len(folds) * ((finite - finite.mean(0)) ** 2).sum(0))
+
+
+def _parameters(found: Discovery) -> dict[str, Any]:
+    std, theta = deviations(found), found.found.final.estimate.theta
+    free = [i for name in (None, *found.found.final.estimate.active) for i in found.problem.of(name)]
+    slots = found.problem.slots
+    return {
+        slots[i].label: {"value": float(theta[i]), "std": float(std[i]), "unit": slots[i].meaning.unit} for i in free
+    }
+
+
+def _recalibration(found: Discovery) -> dict[str, Any]:
+    problem, folds = found.problem, found.found.recalibrated.folds
+    std = jackknife(folds)
+    after = found.found.recalibrated.estimate.theta
+    return {
+        problem.slots[i].label: {
+            "before": float(problem.theta[i]),
+            "after": float(after[i]),
+            "std": float(std[i]),
+            "unit": problem.slots[i].meaning.unit,
+        }
+        for i in problem.of(None)
+    }
+
+
+def _gap(found: Discovery) -> dict[str, Any]:
+    test, train = found.test, found.train
+    pairs = {name: {"train": getattr(train, name).error, "test": getattr(test, name).error} for name in test._fields}
+    return {
+        "metric": found.merit.name,
+        "unit": found.merit.unit,
+        **pairs,
+        "test_interval": {name: list(getattr(test, name).interval) for name in test._fields},
+        "n_init": found.merit.n_init,
+        "floor": _floor(found),
+        "closed_fraction": _closed(found, test.recalibrated.error, test.after.error),
+    }
+
+
+def _ranking(found: Discovery) -> list[dict[str, Any]]:
+    """The first look at the whole catalogue: gain in blocks left out, in parts of the error energy."""
+    stage, active = found.found.first, found.found.final.estimate.active
+    return [
+        {"name": c.name, "gain": _energy_gain(stage, c), "p_value": stage.p_value(c), "chosen": c.name in active}
+        for c in stage.candidates
+    ]
+
+
+def _energy_gain(stage: Stage, candidate: Candidate) -> float:
+    return candidate.gain if candidate.validated is None else 1.0 - candidate.cost / stage.base.cost
+
+
+def _threshold(stage: Stage, setup: Setup) -> float:
+    return float(np.quantile(stage.null, 1.0 - setup.settings.p_value)) if len(stage.null) else math.nan
+
+
+def _alternatives(found: Discovery) -> list[dict[str, Any]]:
+    said = []
+    for name, others in found.judged.alternatives.items():
+        for other in others:
+            stage = found.found.stages[name]
+            said.append(
+                {
+                    "name": other.name,
+                    "instead_of": name,
+                    "gain": _energy_gain(stage, other),
+                    "experiment": _experiment(found.problem, name, other.name),
+                }
+            )
+    return said
+
+
+_EXPERIMENTS = {
+    "input": "inputs over a wider range, with steps at several levels, so that what reaches the system can be told",
+    "dynamics": "a record in which the states rest at several levels while the input is constant",
+    "measurement": "a reading of the sensor against a reference at several levels, with the system at rest",
+}
+
+
+def _experiment(problem: Problem, one: str, other: str) -> str:
+    """What would tell two effects apart, by where they act."""
+    places = sorted({problem.effect(one).acts_on, problem.effect(other).acts_on}, key=list(_EXPERIMENTS).index)
+    return "; or ".join(_EXPERIMENTS[place] for place in places)
+
+
+def _formula(found: Discovery) -> str | None:
+    if found.formula is None:
+        return None
+    return (
+        f"{found.formula.text} (in free run it closes {100 * found.formula.closed:.0f} % of what the fitted curve does)"
+    )
+
+
+def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
+    line = found.beyond.line
+    if line is None:
+        return None
+    unit = setup.estimation.info.outputs[line.output].unit
+    return {"period_s": line.period_s, "amplitude": line.amplitude, "unit": unit, "share": line.share}
+
+
+def disagreement(found: Discovery) -> list[dict[str, Any]]:
+    """One entry per state equation whose correction stands out, the likeliest first."""
+    physics, correction = found.problem.physics, found.correction
+    values = np.concatenate([found.x[..., : len(physics.states)], found.signals.u], -1)
+    values = values.reshape(-1, values.shape[-1])
+    said = []
+    for i in np.argsort(-correction.likelihood):
+        acting = np.stack([clear(m, s) for m, s in zip(correction.mean[i], correction.std[i], strict=True)])
+        if not acting.any() or not np.isfinite(correction.likelihood[i]) or correction.likelihood[i] <= 0:
+            continue
+        energy = np.where(acting, correction.mean[i] ** 2, 0.0).ravel()
+        where = box(energy, values, (*physics.states, *physics.inputs))
+        said.append(
+            {
+                "equation": physics.states[i].name,
+                "region": {name: [_finite(edge) for edge in edges] for name, edges in where.region.items()},
+                "rule": where.rule,
+                "share_of_error": where.share_of_error,
+                "share_of_samples": where.share_of_samples,
+                "intervals_s": [list(pair) for pair in intervals(acting[0], physics.dt)][:50],
+                "log_likelihood": float(correction.likelihood[i]),
+            }
+        )
+    return said
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _numbers(found: Discovery) -> dict[str, Any]:
+    """Parameters of the physics and of every effect, for `physics.effects=FILE`; infinite limits as null."""
+    params = found.problem.params(found.found.final.estimate.theta)
+    effects = {name: params[name] for name in found.found.final.estimate.active}
+    own = {name: params[name] for name in found.problem.physics.params}
+    return {"parameters": _plain(own), "effects": _plain(effects)}
+
+
+def _plain(tree: Any) -> Any:
+    if isinstance(tree, Mapping):
+        return {key: _plain(value) for key, value in tree.items()}
+    return np.asarray(tree).tolist()
+
+
+def _initial_state(found: Discovery) -> dict[str, float]:
+    states, x0 = found.problem.physics.states, found.found.final.estimate.x0[0]
+    return {state.name: float(x0[i]) for i, state in enumerate(states)}
+
+
+def _sentence(found: Discovery, effects: list[dict[str, Any]]) -> str:
+    gap = _gap(found)
+    unit = f" {gap['unit']}" if gap["unit"] else ""
+    before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
+    verdict = found.judged.verdict
+    titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
+    errors = f"test {gap['metric']} {before:.3g}{unit} as given, {fitted:.3g}{unit} recalibrated"
+    if verdict is Verdict.NO_DISCREPANCY:
+        return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
+    if verdict is Verdict.MISCALIBRATED:
+        return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
+    if verdict is Verdict.UNKNOWN_EFFECT:
+        what = found.formula.text if found.formula else "a periodic disturbance"
+        return f"Something is missing that no effect of the catalogue explains: {what}; {errors}."
+    closed = f"{errors}, {after:.3g}{unit} with it"
+    if verdict is Verdict.AMBIGUOUS:
+        others = ", ".join(sorted({a["name"] for a in _alternatives(found)}))
+        return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed}."
+    return f"Missing: {titles}; {closed} ({100 * gap['closed_fraction']:.0f} % of the gap above the noise)."
+
+
+def discovery_arrays(found: Discovery, setup: Setup) -> dict[str, Any]:
+    """The arrays of `discovery.npz`: simulations of both records, the correction signal, and its map."""
+    physics = found.problem.physics
+    arrays: dict[str, Any] = {}
+    for part, record, proofs in (("train", setup.estimation, found.train), ("test", setup.test, found.test)):
+        arrays[f"time_{part}"] = np.arange(record.u.shape[1]) * physics.dt
+        arrays |= {f"u_{part}": record.u, f"y_{part}": record.y, f"mask_{part}": record.mask}
+        arrays |= {f"y_{name}_{part}": getattr(proofs, name).y for name in proofs._fields}
+    arrays["x_after_train"] = found.train.after.x[..., : len(physics.states)]
+    arrays["correction"], arrays["correction_std"] = found.correction.mean, found.correction.std
+    arrays["null_law"] = found.found.first.null
+    return arrays | _map_arrays(found)
+
+
+def _map_arrays(found: Discovery) -> dict[str, np.ndarray]:
+    """The correction of the likeliest equation over the signal of its rule and one other."""
+    physics = found.problem.physics
+    named = disagreement(found)
+    names = [s.name for s in (*physics.states, *physics.inputs)]
+    equation = named[0]["equation"] if named else physics.states[0].name
+    a = next(iter(named[0]["region"]), equation) if named else equation
+    b = next((s.name for s in physics.inputs if s.name != a), names[0])
+    values = np.concatenate([found.x[..., : len(physics.states)], found.signals.u], -1)
+    i = [s.name for s in physics.states].index(equation)
+    drawn = signal_map(found.correction.mean[i], values[..., names.index(a)], values[..., names.index(b)], (a, b))
+    return {
+        "map_x_edges": drawn.a_edges, "map_u_edges": drawn.b_edges, "map_mean": drawn.mean,
+        "map_std_error": drawn.std_error, "map_count": drawn.samples, "map_equation": np.array(equation),
+        "map_a": np.array(a), "map_b": np.array(b),
+    }  # fmt: skip

@@ -1,0 +1,148 @@
+"""A model in the making: which effects it has, its numbers, its errors, and how well it predicts blocks left out.
+
+gap            Σ (w e)² above what the noise alone would give
+CV             Σ over folds f of Σ_{t in f} (w_t e_t)²,   e from a fit to the other folds
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
+from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.effects.base import Reach
+
+
+class Settings(NamedTuple):
+    """spare: free numbers that a program has places for beside those of the physics; lanes: fits in one program; steps:
+    of Levenberg-Marquardt; devices: JAX devices that share the lanes."""
+
+    spare: int = 7
+    lanes: int = 48
+    steps: int = 30
+    devices: int = 1
+
+
+class Estimate(NamedTuple):
+    """active: names of the effects, in the order found; theta `[p]`; x0 `[seq, x]`; error `[seq, time, y]`: weighted
+    errors of the free run, 0 where nothing was measured."""
+
+    active: tuple[str, ...]
+    theta: Float[np.ndarray, " p"]
+    x0: Float[np.ndarray, "seq x"]
+    error: Float[np.ndarray, "seq time y"]
+
+    @property
+    def cost(self) -> float:
+        return float((self.error**2).sum())
+
+    @property
+    def guess(self) -> "Guess":
+        return Guess(self.active, self.theta, self.x0)
+
+
+class Validated(NamedTuple):
+    """held_out `[seq, time, y]`: weighted errors on samples that the fit had not seen; folds: θ of every fold."""
+
+    estimate: Estimate
+    held_out: Float[np.ndarray, "seq time y"]
+    folds: Float[np.ndarray, "fold p"]
+
+    @property
+    def cost(self) -> float:
+        return float((self.held_out**2).sum())
+
+    @property
+    def guess(self) -> "Guess":
+        return self.estimate.guess
+
+
+class Guess(NamedTuple):
+    """Where one fit starts: the effects it has, θ, x_0."""
+
+    active: tuple[str, ...]
+    theta: Float[np.ndarray, " p"]
+    x0: Float[np.ndarray, "seq x"]
+
+
+def fit_all(
+    problem: Problem,
+    signals: Signals,
+    guesses: Sequence[Guess],
+    settings: Settings,
+    left_out: Sequence[int] | None = None,
+    steps: int | None = None,
+    only_start: bool = False,
+) -> list[tuple[Guess, float]]:
+    """Every guess fitted, with its cost; lanes are filled up so that one program serves all calls. only_start: θ stays,
+    x_0 alone is fitted."""
+    found: list[tuple[Guess, float]] = []
+    left = [-1] * len(guesses) if left_out is None else list(left_out)
+    for i in range(0, len(guesses), settings.lanes):
+        part, part_left = list(guesses[i : i + settings.lanes]), left[i : i + settings.lanes]
+        count = len(part)
+        part += [part[-1]] * (settings.lanes - count)
+        part_left += [part_left[-1]] * (settings.lanes - count)
+        free = free_places(problem, part, settings)
+        lanes = Lanes(
+            np.stack([g.theta for g in part]),
+            np.stack([g.x0 for g in part]),
+            np.full_like(free, -1) if only_start else free,
+            np.array(part_left),
+        )
+        done = fit(problem, signals, lanes, steps=steps or settings.steps, devices=settings.devices)
+        theta, x0 = np.asarray(done.theta), np.asarray(done.x0)
+        found += [(Guess(part[j].active, theta[j], x0[j]), float(done.cost[j])) for j in range(count)]
+    return found
+
+
+def free_places(problem: Problem, guesses: Sequence[Guess], settings: Settings) -> np.ndarray:
+    """Positions in θ `[guess, k]` that fits of these guesses move, -1 for places left over.
+
+    A number at infinity is a limit that is not there, and stays. k grows in steps, so that few programs are compiled.
+    """
+    free = [np.concatenate([problem.of(name) for name in (None, *guess.active)]) for guess in guesses]
+    free = [f[np.isfinite(g.theta[f])] for f, g in zip(free, guesses, strict=True)]
+    most = max(map(len, free))
+    places = len(problem.of(None)) + settings.spare
+    while places < most:
+        places += settings.spare
+    return np.stack([np.pad(f, (0, places - len(f)), constant_values=-1) for f in free])
+
+
+def evaluate(problem: Problem, signals: Signals, guess: Guess) -> Estimate:
+    y, _ = simulate(problem, signals.u, guess.theta[None], guess.x0[None])
+    error = np.where(signals.weight > 0, signals.weight * (signals.y - y[0]), 0.0)
+    return Estimate(guess.active, guess.theta, guess.x0, error)
+
+
+def cross_validate(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings) -> list[Validated]:
+    """Fits of every guess without each fold in turn, from where the fit to all of the record ended."""
+    folds = int(signals.block.max()) + 1
+    lanes = [guess for guess in guesses for _ in range(folds)]
+    fitted = fit_all(problem, signals, lanes, settings, left_out=list(range(folds)) * len(guesses), steps=_WARM_STEPS)
+    found = []
+    for i, guess in enumerate(guesses):
+        own = [g for g, _ in fitted[i * folds : (i + 1) * folds]]
+        theta, x0 = np.stack([g.theta for g in own]), np.stack([g.x0 for g in own])
+        y, _ = simulate(problem, signals.u, theta, x0)
+        chosen = np.take_along_axis(y, np.maximum(signals.block, 0)[None, :, :, None], 0)[0]
+        counts = (signals.weight > 0) & (signals.block[..., None] >= 0)
+        held_out = np.where(counts, signals.weight * (signals.y - chosen), 0.0)
+        found.append(Validated(evaluate(problem, signals, guess), held_out, theta))
+    return found
+
+
+def reach_of(problem: Problem, signals: Signals, guess: Guess) -> Reach:
+    """What the states, inputs and outputs span in the free run of a guess."""
+    y, x = simulate(problem, signals.u, guess.theta[None], guess.x0[None])
+
+    def span(a: np.ndarray) -> np.ndarray:
+        return np.stack([a.min((0, 1)), a.max((0, 1))])
+
+    return Reach(span(x[0]), span(signals.u), span(y[0]))
+
+
+_WARM_STEPS = 8

@@ -1,0 +1,133 @@
+"""Corrections without a name: what can be said of an equation that is wrong in a way that no catalogue knows.
+
+    x_i ← x_i + dt Σ c_j φ_j(s)        s: a state or an input          dynamics
+    u   ← u + Σ c_j φ_j(u)             u ← u + Σ c_k (u_{t-k} - u_t)   input
+    y   ← y + Σ c_j φ_j(y)                                             measurement
+
+φ_j: hat functions on equal knots over the reach of s, constant beyond. Each family is an `Effect` whose neutral
+coefficients are zero, so that the same search that fits named effects fits these.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.effects.base import Effect, Reach, after_step, on_input, on_output, with_memory
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal
+
+KNOTS = 8
+_HISTORY = 6  # samples
+_WIDE = 4  # more states than this: a state is corrected by its own signals only
+
+
+class Where(NamedTuple):
+    """What a family corrects and by which signal: kind `state`, `input`, `output` or `history`; target: index of the
+    corrected state, input or output; by: kind (`x`, `u`, `y`) and index of the signal."""
+
+    kind: str
+    target: int
+    by: tuple[str, int]
+
+
+def families(physics: Physics) -> dict[str, Where]:
+    """Every family for the signals of a physics, by name."""
+    states, inputs, outputs = physics.states, physics.inputs, physics.outputs
+    found: dict[str, Where] = {}
+    for i, state in enumerate(states):
+        for kind, signals in (("x", states), ("u", inputs)):
+            for j, signal in enumerate(signals):
+                if len(states) <= _WIDE or _belong(physics, state, signal, j):
+                    found[f"{state.name} by {signal.name}"] = Where("state", i, (kind, j))
+    for j, signal in enumerate(inputs):
+        found[f"{signal.name} by itself"] = Where("input", j, ("u", j))
+        found[f"{signal.name} by its history"] = Where("history", j, ("u", j))
+    for j, signal in enumerate(outputs):
+        found[f"reading of {signal.name} by itself"] = Where("output", j, ("y", j))
+    return found
+
+
+def _belong(physics: Physics, state: Signal, signal: Signal, index: int) -> bool:
+    """Is the signal about the same output as a rate?"""
+    if state.rate_of is None:
+        return False
+    names = [output.name for output in physics.outputs]
+    same = signal.like == state.rate_of or signal.rate_of == state.rate_of
+    return same or (signal in physics.inputs and index == names.index(state.rate_of))
+
+
+def flexible_effects(physics: Physics) -> tuple[Effect, ...]:
+    return tuple(_family(physics, name, where) for name, where in families(physics).items())
+
+
+def hats(value: jax.Array, low: jax.Array, high: jax.Array, c: Float[jax.Array, " knots"]) -> jax.Array:
+    """Σ c_j φ_j(value): linear between the knots, constant beyond the first and the last."""
+    place = jnp.clip((value - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
+    return jnp.maximum(1.0 - jnp.abs(place - jnp.arange(KNOTS, dtype=c.dtype)), 0.0) @ c
+
+
+def _family(physics: Physics, name: str, where: Where) -> Effect:
+    if where.kind == "history":
+        return _history(physics, name, where.target)
+    kind, index = where.by
+
+    def starts(reach: Reach) -> list[dict[str, Any]]:
+        low, high = getattr(reach, kind)[:, index]
+        return [{"c": np.zeros(KNOTS), "high": np.asarray(max(high, low + 1e-9)), "low": np.asarray(low)}]
+
+    def correction(p: Any, value: jax.Array) -> jax.Array:
+        return hats(value, p["low"], p["high"], p["c"])
+
+    def after(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        signal = 0.5 * (x[index] + new[index]) if kind == "x" else u[index]
+        return new.at[where.target].add(physics.dt * correction(p[name], signal))
+
+    def on_channel(p: Any, value: jax.Array) -> jax.Array:
+        return value.at[where.target].add(correction(p, value[where.target]))
+
+    wrap: dict[str, Callable[[Physics], Physics]] = {
+        "state": lambda inner: after_step(inner, after),
+        "input": lambda inner: on_input(inner, name, on_channel),
+        "output": lambda inner: on_output(inner, name, on_channel),
+    }
+    fixed = Parameter(neutral=0.0, trainable=False)
+    return Effect(
+        name,
+        name,
+        "Σ c_j φ_j",
+        "",
+        {"state": "dynamics", "input": "input", "output": "measurement"}[where.kind],  # pyright: ignore[reportArgumentType]
+        {"c": Parameter("c", neutral=0.0), "high": fixed._replace(neutral=1.0), "low": fixed},
+        starts,
+        wrap[where.kind],
+        {"c": (KNOTS,)},
+    )
+
+
+def _history(physics: Physics, name: str, channel: int) -> Effect:
+    signal = physics.inputs[channel]
+    memory = [Signal(f"{signal.name}_{k + 1}_ago", signal.unit, holds=signal.name) for k in range(_HISTORY)]
+
+    def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        own = u[channel]
+        kept = jnp.concatenate([own[None], past])[:_HISTORY]
+        return u.at[channel].add(p["c"] @ (past - own)), kept
+
+    return Effect(
+        name,
+        name,
+        "Σ c_k (u_{t-k} - u_t)",
+        "",
+        "input",
+        {"c": Parameter("c", neutral=0.0)},
+        lambda reach: [{"c": np.zeros(_HISTORY)}],
+        lambda inner: with_memory(inner, name, memory, advance),
+        {"c": (_HISTORY,)},
+    )
+
+
+def names(effects: Sequence[Effect]) -> tuple[str, ...]:
+    return tuple(effect.name for effect in effects)

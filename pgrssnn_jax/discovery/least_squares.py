@@ -1,0 +1,268 @@
+"""Simulation-error least squares, many fits at once.
+
+    minimise over θ_A, x_0   Σ_t ‖w_t (y_t - ŷ_t(θ, x_0))‖² + prior        A: the free numbers of this fit
+
+Levenberg-Marquardt with the sensitivities of the free run beside it in one scan (forward mode). Fits (lanes) differ in
+which numbers are free, where they start and which fold they leave out; all run in one program, lanes last in memory.
+The initial states of the sequences are eliminated by a Schur complement, so that there may be many. Source of the
+damping: Marquardt 1963; of the elimination: Björck, Numerical Methods for Least Squares Problems, 1996, section 6.3.
+
+Ours rather than a library's: lanes are frozen one by one, and the normal equations know which unknowns are local.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.members import over_devices
+from pgrssnn_jax.records import Array
+
+_DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
+_TOLERANCE = 1e-6  # relative fall of the cost below which a lane rests
+_GIVE_UP = 1e6  # damping at which no step is left
+_PRIOR = 1e-7  # of one squared scaled error per squared relative change: decides only what the data do not
+
+
+class Lanes(NamedTuple):
+    """theta `[lane, p]` and x0 `[lane, seq, x]`: starting values; free `[lane, k]`: positions in θ that are fitted, -1
+    for an unused place; left_out `[lane]`: fold that does not count, -1 for none."""
+
+    theta: Float[Array, "lane p"]
+    x0: Float[Array, "lane seq x"]
+    free: Int[Array, "lane k"]
+    left_out: Int[Array, " lane"]
+
+
+class Fitted(NamedTuple):
+    """cost: Σ (w e)² over the samples that count, with the prior; inf where the simulation is not finite."""
+
+    theta: Float[Array, "lane p"]
+    x0: Float[Array, "lane seq x"]
+    cost: Float[Array, " lane"]
+
+
+def fit(problem: Problem, signals: Signals, lanes: Lanes, *, steps: int, devices: int = 1) -> Fitted:
+    """At most `steps` steps per lane; a lane rests when its cost no longer falls. Double precision."""
+    lanes = Lanes(*map(np.asarray, lanes))
+    return Fitted(*map(np.asarray, _fit(problem, devices, jnp.asarray(steps), lanes, signals)))
+
+
+def sensitivity(problem: Problem, signals: Signals, lanes: Lanes) -> tuple[np.ndarray, np.ndarray]:
+    """y `[lane, seq, time, y]`, and its derivatives by the free numbers and x_0, `[lane, seq, time, y, k + s]`;
+    s: unknowns of the start."""
+    y, dy = _sensitivity(problem, Lanes(*map(np.asarray, lanes)), signals)
+    return np.asarray(y), np.asarray(dy)
+
+
+def simulate(problem: Problem, u: Array, theta: Array, x0: Array) -> tuple[np.ndarray, np.ndarray]:
+    """Free runs: y `[lane, seq, time, y]` and x `[lane, seq, time, x]` (state after u_t) for θ `[lane, p]` and x_0
+    `[lane, seq, x]`; u `[seq, time, u]`."""
+    y, x = _simulate(problem, jnp.asarray(u), jnp.asarray(theta), jnp.asarray(x0))
+    return np.asarray(y), np.asarray(x)
+
+
+class _Batched(NamedTuple):
+    """The physics for arrays `[..., seq, lane]`: θ `[p, lane]`, x `[x, seq, lane]`, u `[u, seq]`."""
+
+    step: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+    measure: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+
+
+def _batched(problem: Problem) -> _Batched:
+    def over(function: Callable[..., jax.Array]) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+        def one(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
+            return function(problem.unravel(theta), x, u)
+
+        by_lane = jax.vmap(one, (-1, -1, None), -1)
+        return jax.vmap(by_lane, (None, 1, 1), 1)
+
+    return _Batched(over(problem.full.step), over(problem.full.measure))
+
+
+def _free_run(problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """y `[time, y, seq, lane]` and x `[time, x, seq, lane]` from u `[time, u, seq]`."""
+    batched, after = _batched(problem), problem.full.reads == "after_step"
+
+    def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        new = batched.step(theta, x, u_t)
+        return new, (batched.measure(theta, new if after else x, u_t), new)
+
+    return jax.lax.scan(body, x0, u)[1]
+
+
+def _with_derivatives(
+    problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array, free: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """y `[time, y, seq, lane]` and dy `[time, y, seq, lane, k + s]`; free `[lane, k]`; s: unknowns of the start."""
+    batched, after = _batched(problem), problem.full.reads == "after_step"
+    n_x, seq, lanes = x0.shape
+    k, by_start = free.shape[1], _by_start(problem)
+    by_theta = jnp.where(free.T[None] == jnp.arange(len(theta))[:, None, None], 1.0, 0.0)  # [p, k, lane]
+    by_theta = jnp.swapaxes(by_theta, 1, 2)
+    by_theta = jnp.concatenate([by_theta, jnp.zeros((len(theta), lanes, by_start.shape[1]))], -1)
+    dx0 = jnp.concatenate([jnp.zeros((n_x, k)), by_start], 1)[:, None, None, :]
+    dx0 = jnp.broadcast_to(dx0, (n_x, seq, lanes, dx0.shape[-1]))
+
+    def body(carry: tuple[jax.Array, jax.Array], u_t: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
+        x, dx = carry
+        new, push = jax.linearize(lambda t, x: batched.step(t, x, u_t), theta, x)
+        dnew = jax.vmap(push, (-1, -1), -1)(by_theta, dx)
+        read, dread = (new, dnew) if after else (x, dx)
+        y, push = jax.linearize(lambda t, x: batched.measure(t, x, u_t), theta, read)
+        return (new, dnew), (y, jax.vmap(push, (-1, -1), -1)(by_theta, dread))
+
+    return jax.lax.scan(body, (x0, dx0), u)[1]
+
+
+def _by_start(problem: Problem) -> np.ndarray:
+    """Which state `[x]` each unknown of the start `[s]` is, as a matrix of zeros and ones."""
+    return np.eye(len(problem.free_start))[:, problem.free_start]
+
+
+def _time_first(a: Array) -> jax.Array:
+    """`[seq, time, channel]` as `[time, channel, seq]`."""
+    return jnp.transpose(jnp.asarray(a), (1, 2, 0))
+
+
+def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
+    return jnp.asarray(lanes.theta).T, jnp.transpose(jnp.asarray(lanes.x0), (2, 1, 0)), jnp.asarray(lanes.free)
+
+
+@partial(jax.jit, static_argnums=0)
+def _simulate(problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
+    y, x = _free_run(problem, _time_first(u), theta.T, jnp.transpose(x0, (2, 1, 0)))
+    return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(x, (3, 2, 0, 1))
+
+
+@partial(jax.jit, static_argnums=0)
+def _sensitivity(problem: Problem, lanes: Lanes, signals: Signals) -> tuple[jax.Array, jax.Array]:
+    y, dy = _with_derivatives(problem, _time_first(signals.u), *_lanes_last(lanes))
+    return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(dy, (3, 2, 0, 1, 4))
+
+
+class _State(NamedTuple):
+    """Of all lanes: theta `[p, lane]`, x0 `[x, seq, lane]`, cost, damping, resting `[lane]`, steps taken."""
+
+    theta: jax.Array
+    x0: jax.Array
+    cost: jax.Array
+    damping: jax.Array
+    resting: jax.Array
+    taken: jax.Array
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _fit(problem: Problem, devices: int, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
+    def on_one_device(lanes: Lanes) -> tuple[jax.Array, ...]:
+        return _fit_lanes(problem, steps, lanes, signals)
+
+    return over_devices(on_one_device, devices)(lanes)
+
+
+def _fit_lanes(problem: Problem, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
+    u, y, w = (_time_first(a) for a in signals[:3])
+    theta0, x0, free = _lanes_last(lanes)
+    counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)  # [seq, time, lane]
+    weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
+    low, high, size = (jnp.asarray(a)[:, None] for a in (problem.low, problem.high, problem.size))
+    anchor, anchor_x = theta0, x0
+    n = weight.shape[0] * weight.shape[1] * weight.shape[2]
+    prior = _PRIOR * n / size**2  # [p, 1]
+    used = free >= 0
+    place = jnp.where(used, free, 0).T  # [k, lane]
+
+    def cost_of(theta: jax.Array, x0: jax.Array) -> jax.Array:
+        found, _ = _free_run(problem, u, theta, x0)
+        error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
+        # unused places hold infinite neutral values, which an anchor difference would turn into NaN
+        moved = jnp.where(theta == anchor, 0.0, theta - anchor)
+        total = (error**2).sum((0, 1, 2)) + (prior * moved**2).sum(0) + _PRIOR * n * ((x0 - anchor_x) ** 2).sum((0, 1))
+        return jnp.where(jnp.isfinite(total), total, jnp.inf)
+
+    def step(state: _State) -> _State:
+        found, dy = _with_derivatives(problem, u, state.theta, state.x0, free)
+        error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
+        columns = jnp.where(weight[..., None] > 0, weight[..., None] * dy, 0.0)
+        columns = jnp.where(jnp.isfinite(columns), columns, 0.0)
+        normal = jnp.einsum("tysld,tysle->slde", columns, columns)
+        pull = jnp.einsum("tysld,tysl->sld", columns, error)
+        trial_theta, trial_x0 = _trials(state, normal, pull)
+        costs = jax.vmap(cost_of)(trial_theta, trial_x0)  # [trial, lane]
+        best = jnp.argmin(costs, 0)
+        cost = jnp.take_along_axis(costs, best[None], 0)[0]
+        better = (cost < state.cost) & ~state.resting
+        chosen_theta = jnp.take_along_axis(trial_theta, best[None, None], 0)[0]
+        chosen_x0 = jnp.take_along_axis(trial_x0, best[None, None, None], 0)[0]
+        still = (state.cost - cost <= _TOLERANCE * state.cost) | (~better & (state.damping > _GIVE_UP))
+        damping = jnp.where(better, jnp.asarray(_DAMPINGS)[best] * state.damping, state.damping * 30.0)
+        return _State(
+            jnp.where(better, chosen_theta, state.theta),
+            jnp.where(better, chosen_x0, state.x0),
+            jnp.where(better, cost, state.cost),
+            jnp.clip(damping, 1e-9, 1e9),
+            state.resting | (better & still) | (~better & (state.damping > _GIVE_UP)),
+            state.taken + 1,
+        )
+
+    def _trials(state: _State, normal: jax.Array, pull: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """θ `[trial, p, lane]` and x_0 `[trial, x, seq, lane]`."""
+        k = free.shape[1]
+        now = jnp.take_along_axis(state.theta, place, 0)  # [k, lane]
+        lowest, highest = low[place, 0], high[place, 0]
+        direction = pull[..., :k].sum(0).T
+        blocked = ((now <= lowest) & (direction < 0)) | ((now >= highest) & (direction > 0))
+        moves = used & ~blocked.T  # [lane, k]
+        own = prior[place, 0].T
+        back = jnp.where(used, own * (jnp.take_along_axis(anchor, place, 0) - now).T, 0.0)
+        back = jnp.where(jnp.isfinite(back), back, 0.0)
+        shift = jnp.stack(
+            [_step(normal, pull, moves, own, back, state, d * state.damping) for d in _DAMPINGS]
+        )  # [trial, lane, k + seq s]
+        delta, delta_x = shift[..., :k], shift[..., k:]
+        moved = jnp.clip(now.T + delta, lowest.T, highest.T)  # [trial, lane, k]
+        lane = jnp.arange(free.shape[0])[:, None]
+        theta = jax.vmap(lambda new: state.theta.T.at[lane, jnp.where(used, free, len(low))].set(new, mode="drop").T)(
+            moved
+        )
+        by_start = _by_start(problem)
+        delta_x = delta_x.reshape(len(_DAMPINGS), free.shape[0], x0.shape[1], by_start.shape[1])
+        return theta, state.x0 + jnp.einsum("xs,dlqs->dxql", by_start, delta_x)
+
+    def _step(
+        normal: jax.Array,
+        pull: jax.Array,
+        moves: jax.Array,
+        own: jax.Array,
+        back: jax.Array,
+        state: _State,
+        damping: jax.Array,
+    ) -> jax.Array:
+        """Damped step `[lane, k + seq s]`: x_0 of every sequence eliminated first."""
+        k = free.shape[1]
+        mask = jnp.where(moves, 1.0, 0.0)
+        local = normal[..., k:, k:]
+        local = local + jnp.where(
+            jnp.eye(local.shape[-1]) > 0, damping[None, :, None, None] * local + _PRIOR * n + 1e-30, 0.0
+        )
+        cross = normal[..., :k, k:] * mask[None, :, :, None]
+        pull_x = pull[..., k:] + _PRIOR * n * jnp.einsum("xs,xql->qls", _by_start(problem), anchor_x - state.x0)
+        solved = jnp.linalg.solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
+        whole = normal[..., :k, :k].sum(0) * mask[:, :, None] * mask[:, None, :]
+        diagonal = jnp.diagonal(whole, axis1=-2, axis2=-1)
+        extra = damping[:, None] * diagonal + jnp.where(moves, own, 1.0) + 1e-30
+        whole = whole + extra[:, :, None] * jnp.eye(k) - (cross @ solved[..., :-1]).sum(0)
+        right = mask * (pull[..., :k].sum(0) + back) - (cross @ solved[..., -1:])[..., 0].sum(0)
+        delta = jnp.linalg.solve(whole, right[..., None])[..., 0]
+        delta_x = solved[..., -1] - (solved[..., :-1] @ delta[None, :, :, None])[..., 0]
+        return jnp.concatenate([delta, jnp.swapaxes(delta_x, 0, 1).reshape(len(delta), -1)], -1)
+
+    cost = cost_of(theta0, x0)
+    state = _State(theta0, x0, cost, jnp.full_like(cost, 1e-2), ~jnp.isfinite(cost), jnp.zeros((), jnp.int32))
+    state = jax.lax.while_loop(lambda s: (s.taken < steps) & ~s.resting.all(), step, state)
+    return state.theta.T, jnp.transpose(state.x0, (2, 1, 0)), state.cost

@@ -1,0 +1,149 @@
+"""The estimation problem of discovery: one record, one physics with all candidate effects in it, every number in a row.
+
+    θ = (parameters of the physics, parameters of every effect)        neutral effects change nothing
+
+so that one compiled program fits any choice of effects: a fit is told which numbers of θ are free.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Bool, Float, Int
+
+from pgrssnn_jax.effects.base import Effect, add
+from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
+from pgrssnn_jax.records import Record
+
+ALWAYS = -2  # fold of samples that are never left out
+
+
+class Slot(NamedTuple):
+    """What one number of θ is: path of names and indices in `params`, its meaning, the effect it belongs to or None."""
+
+    path: tuple[str, ...]
+    label: str
+    meaning: Parameter
+    effect: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What does not change during a discovery. full: the physics with every effect of the catalogue; slots: one per
+    number of θ; unravel: θ as the tree of params; free_start: which states' initial values are unknown."""
+
+    physics: Physics
+    full: Physics
+    effects: tuple[Effect, ...]
+    slots: tuple[Slot, ...]
+    unravel: Callable[[jax.Array], Any]
+    theta: Float[np.ndarray, " p"]
+    low: Float[np.ndarray, " p"]
+    high: Float[np.ndarray, " p"]
+    size: Float[np.ndarray, " p"]
+    free_start: Bool[np.ndarray, " x"]
+
+    def of(self, effect: str | None) -> Int[np.ndarray, " k"]:
+        """Positions in θ of the numbers of an effect that a fit may move; None: of the physics itself."""
+        return np.array([i for i, s in enumerate(self.slots) if s.effect == effect and s.meaning.trainable], int)
+
+    def put(self, theta: np.ndarray, effect: str, numbers: Mapping[str, Any]) -> np.ndarray:
+        """θ with all numbers of an effect."""
+        places = [i for i, s in enumerate(self.slots) if s.effect == effect]
+        theta = theta.copy()
+        theta[places] = np.concatenate([np.ravel(numbers[name]) for name in sorted(numbers)])
+        return theta
+
+    def effect(self, name: str) -> Effect:
+        return next(effect for effect in self.effects if effect.name == name)
+
+    def params(self, theta: np.ndarray) -> Any:
+        """θ as params of `full`, in NumPy."""
+        return jax.tree.map(np.asarray, self.unravel(jnp.asarray(theta)))
+
+
+class Signals(NamedTuple):
+    """The record as arrays: u `[seq, time, u]`, y and weight `[seq, time, y]` (weight 0: not measured), block
+    `[seq, time]` the fold that a sample belongs to in cross-validation, ALWAYS where it is never left out; start
+    `[seq, x]`: a first guess of x_0."""
+
+    u: Float[np.ndarray, "seq time u"]
+    y: Float[np.ndarray, "seq time y"]
+    weight: Float[np.ndarray, "seq time y"]
+    block: Int[np.ndarray, "seq time"]
+    start: Float[np.ndarray, "seq x"]
+
+
+def build_problem(physics: Physics, effects: Sequence[Effect], *, known_start: bool = False) -> Problem:
+    """known_start: x_0 is not to be estimated."""
+    full = add(physics, *effects)
+    names = {effect.name for effect in effects}
+    params = jax.tree.map(lambda p: np.asarray(p, np.float64), full.params)
+    theta, unravel = ravel_pytree(params)
+    slots: list[Slot] = []
+    meanings = jax.tree.leaves(full.parameters, is_leaf=is_parameter)
+    for (path, value), meaning in zip(jax.tree_util.tree_leaves_with_path(params), meanings, strict=True):
+        keys = tuple(jax.tree_util.keystr((key,), simple=True) for key in path)
+        for index in np.ndindex(np.shape(value)):
+            label = ".".join(keys) + "".join(f"[{i + 1}]" for i in index)
+            slots.append(Slot(keys, label, meaning, keys[0] if keys[0] in names else None))
+    low, high = (np.array([slot.meaning.bounds[k] for slot in slots]) for k in (0, 1))
+    own = len(physics.states)
+    free = np.zeros(len(full.states), bool)
+    free[:own] = not known_start
+    theta = np.asarray(theta, np.float64)
+    size = np.where(np.isfinite(theta) & (theta != 0.0), np.abs(theta), 1.0)
+    return Problem(physics, full, tuple(effects), tuple(slots), unravel, theta, low, high, size, free)
+
+
+def signals(problem: Problem, record: Record, *, folds: int, block: int) -> Signals:
+    """Records in float64 with weights 1 / std(y) and interleaved blocks of `block` samples in `folds` folds.
+
+    Blocks are short and folds interleave, so that an effect that acts in one stretch only is in every fold. The first
+    block of a sequence stays in every fit: it is what says where the sequence starts.
+    """
+    u, y = np.asarray(record.u, np.float64), np.asarray(record.y, np.float64)
+    mask = np.asarray(record.mask, bool)
+    counted = np.where(mask, y, np.nan)
+    spread = np.nanstd(counted, axis=(0, 1))
+    weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
+    n_seq, time = u.shape[:2]
+    order = np.arange(n_seq)[:, None] * (time // block + 1) + np.arange(time)[None] // block
+    fold = np.where(np.arange(time) < block, ALWAYS, order % folds)
+    return Signals(u, y, weight, fold, start_guess(problem.full, u, y, mask))
+
+
+def carried(
+    origin: Problem, target: Problem, theta: np.ndarray, x0: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """θ and x_0 of one problem in another of the same physics with other effects; start: x_0 of states that are new."""
+    places = {slot.label: i for i, slot in enumerate(origin.slots)}
+    states = {state.name: i for i, state in enumerate(origin.full.states)}
+    moved, begun = target.theta.copy(), start.copy()
+    for i, slot in enumerate(target.slots):
+        if slot.label in places:
+            moved[i] = theta[places[slot.label]]
+    for i, state in enumerate(target.full.states):
+        if state.name in states:
+            begun[:, i] = x0[:, states[state.name]]
+    return moved, begun
+
+
+def start_guess(physics: Physics, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> Float[np.ndarray, "seq x"]:
+    """x_0 from the first measured output and the first input, by what the states resemble; otherwise zero."""
+    outputs, inputs = ([s.name for s in signals] for signals in (physics.outputs, physics.inputs))
+    rows = np.arange(len(y))
+    start = np.zeros((len(y), len(physics.states)))
+    for i, state in enumerate(physics.states):
+        if state.like is not None:
+            j = outputs.index(state.like)
+            start[:, i] = y[rows, mask[:, :, j].argmax(1), j]
+        elif state.holds is not None:
+            start[:, i] = u[:, 0, inputs.index(state.holds)]
+        if state.start is not None:
+            start[:, i] = state.start
+    return start

@@ -1,0 +1,252 @@
+"""Which effects are missing: greedy steps forward, exchanges, and a pruning backwards, all judged by cross-validation.
+
+Forward: every effect of the catalogue is fitted beside what is there, from all its starting values at once; the best
+in blocks left out enters when it beats the null and matters. Then every effect that has come in must earn its place
+again: it is taken out, and whatever does best without it comes in instead.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.estimate import (
+    Guess,
+    Settings,
+    Validated,
+    cross_validate,
+    fit_all,
+    reach_of,
+)
+from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.null import null_law, what_is_added
+from pgrssnn_jax.discovery.problem import Problem, Signals
+
+_AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
+
+
+class Rules(NamedTuple):
+    """When an effect counts.
+
+    p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
+    that it closes; least: least relative fall of the error energy; finalists: candidates that are cross-validated;
+    most: effects that may be found; draws: of the null; open: part of the gap left after which other beginnings are
+    tried; beam: how many.
+    """
+
+    p_value: float = 0.01
+    share: float = 0.01
+    least: float = 0.02
+    finalists: int = 6
+    most: int = 4
+    draws: int = 400
+    open: float = 0.05
+    beam: int = 3
+
+
+class Candidate(NamedTuple):
+    """gain: relative fall of the error energy on all of the record; fitted to it and left out in blocks."""
+
+    name: str
+    gain: float
+    validated: Validated | None
+    guess: Guess
+
+    @property
+    def cost(self) -> float:
+        """Error energy in blocks left out; infinite for those that were not cross-validated."""
+        return self.validated.cost if self.validated else float("inf")
+
+
+class Stage(NamedTuple):
+    """One look at the whole catalogue beside `base`: candidates from best to worst, law of the best gain by luck;
+    visible: energy by which each effect at its starts moves the free run, and what of it nothing else can take up."""
+
+    base: Validated
+    candidates: tuple[Candidate, ...]
+    null: Float[np.ndarray, " draw"]
+    visible: dict[str, tuple[float, float]]
+
+    def p_value(self, candidate: Candidate) -> float:
+        return float((1 + (self.null >= candidate.gain).sum()) / (1 + len(self.null)))
+
+
+class Found(NamedTuple):
+    """recalibrated: no effect; final: with the effects found; stages: the look at the catalogue without each of them,
+    by its name; first and last: the looks beside nothing and beside everything found; floor: energy of the noise."""
+
+    recalibrated: Validated
+    final: Validated
+    stages: dict[str, Stage]
+    first: Stage
+    last: Stage
+    floor: float
+
+
+def search(
+    problem: Problem,
+    signals: Signals,
+    start: Guess,
+    settings: Settings,
+    rules: Rules,
+    rng: np.random.Generator,
+    notify: Callable[[str], None],
+    without: Sequence[str] = (),
+) -> Found:
+    """From a recalibrated guess without effects to the model that explains the record; effects named in `without` are
+    not looked at."""
+    looked: dict[tuple[str, ...], Stage] = {}
+
+    def look(base: Guess) -> Stage:
+        key = tuple(sorted(base.active))
+        if key not in looked:
+            looked[key] = look_at(problem, signals, base, settings, rules, rng, without)
+            best = looked[key].candidates
+            notify(f"beside {', '.join(base.active) or 'the physics'}: " + _named(best[:3]))
+        return looked[key]
+
+    first = look(start)
+    tried = [first.base, *(c.validated for c in first.candidates if c.validated)]
+    judge = _Judge(problem, look, first.base.cost, _floor(signals, tried), rules)
+    current = _settled(judge, start)
+    if look(current).base.cost ** 0.5 - judge.floor**0.5 > rules.open * judge.gap:
+        current = _other_beginnings(judge, first, current)
+    stages = {name: look(_without(problem, current, name)) for name in current.active}
+    last = look(current)
+    return Found(first.base, last.base, stages, first, last, min(judge.floor, _floor(signals, [last.base])))
+
+
+class _Judge(NamedTuple):
+    """recalibrated: cross-validated cost without effects; floor: cost of the noise; gap: between their roots."""
+
+    problem: Problem
+    look: Callable[[Guess], Stage]
+    recalibrated: float
+    floor: float
+    rules: Rules
+
+    @property
+    def gap(self) -> float:
+        return max(self.recalibrated**0.5 - self.floor**0.5, 0.0)
+
+
+def _floor(signals: Signals, validated: Sequence[Validated]) -> float:
+    return min(noise_floor(v.estimate.error, signals.weight) for v in validated)
+
+
+def _named(candidates: Sequence[Candidate]) -> str:
+    return ", ".join(f"{c.name} {100 * c.gain:.1f} %" for c in candidates)
+
+
+def look_at(
+    problem: Problem,
+    signals: Signals,
+    base: Guess,
+    settings: Settings,
+    rules: Rules,
+    rng: np.random.Generator,
+    without: Sequence[str],
+) -> Stage:
+    (base, _), *_ = fit_all(problem, signals, [base], settings)
+    reach = reach_of(problem, signals, base)
+    guesses: list[Guess] = []
+    for effect in problem.effects:
+        if effect.name in (*base.active, *without):
+            continue
+        for numbers in effect.starts(reach):
+            theta = problem.put(base.theta, effect.name, numbers)
+            guesses.append(Guess((*base.active, effect.name), theta, base.x0))
+    fitted = fit_all(problem, signals, guesses, settings)
+    best: dict[str, tuple[Guess, float]] = {}
+    for guess, cost in fitted:
+        name = guess.active[-1]
+        if np.isfinite(cost) and (name not in best or cost < best[name][1]):
+            best[name] = (guess, cost)
+    ranked = sorted(best.items(), key=lambda item: item[1][1])
+    finalists = [base, *(guess for _, (guess, _) in ranked[: rules.finalists])]
+    validated = cross_validate(problem, signals, finalists, settings)
+    energy = validated[0].estimate.cost
+    candidates = [
+        Candidate(name, 1.0 - cost / energy, validated[i + 1] if i < rules.finalists else None, guess)
+        for i, (name, (guess, cost)) in enumerate(ranked)
+    ]
+    candidates.sort(key=lambda c: (c.cost, -c.gain))
+    added = what_is_added(problem, signals, validated[0].estimate, guesses, settings)
+    law = null_law(validated[0].estimate, signals.weight, added, rules.draws, rng)
+    visible: dict[str, tuple[float, float]] = {}
+    for guess, one in zip(guesses, added, strict=True):
+        seen = visible.get(guess.active[-1], (0.0, 0.0))
+        visible[guess.active[-1]] = (max(seen[0], one.moved), max(seen[1], one.left))
+    return Stage(validated[0], tuple(candidates), law, visible)
+
+
+def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
+    """The candidate that enters: of those that matter and beat the null the best in blocks left out, or a simpler one
+    that it contains and that is as good."""
+    passing = [
+        c
+        for c in stage.candidates
+        if stage.base.cost**0.5 - c.cost**0.5 >= judge.rules.share * judge.gap
+        and stage.base.cost - c.cost >= judge.rules.least * stage.base.cost
+        and stage.p_value(c) <= judge.rules.p_value
+    ]
+    if not passing:
+        return None
+    best = passing[0]
+    simpler = [c for c in passing if c.name in judge.problem.effect(best.name).simpler]
+    if simpler and simpler[0].cost ** 0.5 - best.cost**0.5 <= _AS_GOOD * (judge.gap + best.cost**0.5):
+        return simpler[0]
+    return best
+
+
+def _other_beginnings(judge: _Judge, first: Stage, current: Guess) -> Guess:
+    """The effect that does best alone may be none of two that only do well together: the next best are tried, and
+    followed where they make a better pair than the best one does."""
+    pair = min(judge.look(first.candidates[0].guess).candidates[0].cost, judge.look(current).base.cost)
+    for other in [c for c in first.candidates if c.name not in current.active][: judge.rules.beam]:
+        best = _chosen(judge, judge.look(other.guess))
+        if best is not None and best.cost < pair:
+            found = _settled(judge, best.guess)
+            if judge.look(found).base.cost < judge.look(current).base.cost:
+                current = found
+    return current
+
+
+def _settled(judge: _Judge, current: Guess) -> Guess:
+    """Forward steps and exchanges until nothing changes; a second round is rare."""
+    for _ in range(3):
+        before = set(current.active)
+        current = _exchange(judge, _forward(judge, current))
+        if set(current.active) == before or not current.active:
+            break
+    return current
+
+
+def _forward(judge: _Judge, current: Guess) -> Guess:
+    while len(current.active) < judge.rules.most:
+        best = _chosen(judge, judge.look(current))
+        if best is None:
+            break
+        current = best.guess
+    return current
+
+
+def _exchange(judge: _Judge, current: Guess) -> Guess:
+    """Every effect in turn, the first that came in first: what is best in its place?"""
+    for name in current.active:
+        if len(current.active) == 1:
+            break
+        rest = _without(judge.problem, current, name)
+        best = _chosen(judge, judge.look(rest))
+        if best is None:
+            current = judge.look(rest).base.guess
+        elif best.name != name:
+            current = best.guess
+    return current
+
+
+def _without(problem: Problem, guess: Guess, name: str) -> Guess:
+    theta = guess.theta.copy()
+    theta[problem.of(name)] = problem.theta[problem.of(name)]
+    return Guess(tuple(n for n in guess.active if n != name), theta, guess.x0)

@@ -1,0 +1,108 @@
+"""From the composed configuration to a discovery: all bad input is found here, before a byte is written."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgrssnn_jax.discovery.search import Rules
+from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
+from pgrssnn_jax.records import Record, Splits, join, take
+from pgrssnn_jax.settings import call_with
+
+_LEAST_BLOCKS = 4  # per fold
+
+
+@dataclass(frozen=True)
+class DiscoverySettings:
+    """replace: settings of the physics that discovery chooses itself, where the physics has them; without: effects that
+    the catalogue is to do without; starts: of the recalibration; folds, block: cross-validation in `folds` folds of
+    blocks of `block` samples; n_init: first samples of the test record from which its start is fitted where it shares
+    none; network_epochs: of the PG-RSSNN that is trained on the old and the new physics, 0 for none."""
+
+    replace: Mapping[str, Any]
+    without: list
+    starts: int
+    folds: int
+    block: int
+    n_init: int
+    steps: int
+    p_value: float
+    share: float
+    most: int
+    draws: int
+    seed: int
+    network_epochs: int
+
+    def __post_init__(self) -> None:
+        checks = {"starts": 1, "folds": 2, "block": 2, "n_init": 1, "steps": 1, "most": 1, "draws": 99, "seed": 0}
+        for name, least in {**checks, "network_epochs": 0}.items():
+            if (value := getattr(self, name)) < least:
+                raise ValueError(f"discovery.{name}: expected at least {least}, found {value}")
+        for name, value in (("p_value", self.p_value), ("share", self.share)):
+            if not 0.0 < value < 1.0:
+                raise ValueError(f"discovery.{name}: expected a number between 0 and 1, found {value:g}")
+
+    @property
+    def rules(self) -> Rules:
+        return Rules(p_value=self.p_value, share=self.share, most=self.most, draws=self.draws)
+
+
+class Setup(NamedTuple):
+    """group: the settings of the physics that was used; estimation: everything that is not test; shared: the test
+    record starts where the estimation record does."""
+
+    config: dict[str, Any]
+    group: dict[str, Any]
+    physics: Physics
+    estimation: Record
+    test: Record
+    shared: bool
+    settings: DiscoverySettings
+
+
+def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
+    """config: the resolved configuration as plain data. Raises `ValueError` with one sentence."""
+    settings = call_with(DiscoverySettings, config["discovery"], "discovery")
+    group = {name: settings.replace.get(name, value) for name, value in config["physics"].items()}
+    group["effects"] = None
+    physics = load_physics(group)
+    if physics.remark:
+        notify(physics.remark)
+    catalogue(physics, settings.without)
+    splits = load_splits(config["data"], physics, notify)
+    if len(splits.train.u) > 1:
+        notify(
+            f"discovery looks at the first of {len(splits.train.u)} realisations (data.realisations=1 loads no more)"
+        )
+    one = Splits(*(take(record, 0) for record in splits))
+    estimation = join(one.train, one.validation)
+    shared = conventions(config["data"]).shared_initial_state
+    _check(physics, estimation, one.test, settings, shared=shared)
+    return Setup(dict(config), group, physics, estimation, one.test, shared, settings)
+
+
+def _check(physics: Physics, estimation: Record, test: Record, settings: DiscoverySettings, *, shared: bool) -> None:
+    for name, record in (("train", estimation), ("test", test)):
+        for kind, channels in (("u", physics.inputs), ("y", physics.outputs)):
+            values, mask = np.asarray(getattr(record, kind)), np.asarray(record.mask)
+            for k, signal in enumerate(channels):
+                counted = values[..., k][mask[..., k]] if kind == "y" else values[..., k]
+                check_range(f"data: {name}", signal, counted)
+                if name == "train" and not (counted.size and counted.max() > counted.min()):
+                    found = f"{counted.flat[0]:g} {signal.unit}".rstrip() if counted.size else "no measured sample"
+                    raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
+    samples, least = estimation.u.shape[1], _LEAST_BLOCKS * settings.folds * settings.block // len(estimation.u)
+    if samples < max(least, settings.block):
+        raise ValueError(
+            f"data: train: expected at least {max(least, settings.block)} samples for discovery.folds={settings.folds} "
+            f"of blocks of {settings.block}, found {samples}"
+        )
+    time = test.u.shape[1]
+    if not shared and time <= settings.n_init:
+        raise ValueError(
+            f"discovery.n_init: expected fewer than the {time} samples of the test record, found {settings.n_init}"
+        )

@@ -1,0 +1,149 @@
+"""Where a simulation is wrong: the correction that each state equation would need, by a smoother.
+
+    δx_t = A_t δx_{t-1} + e_i dt d_t          e_t = C_t δx_t + v_t
+    d_t  = d_{t-1} + w_t                      A, C: derivatives of the model along its own free run
+
+d_t is the correction of equation i in its unit per second, δx the error of the simulated state, e the output error, v
+white noise of the size of the floor. The variance of w is the one under which the errors are most likely; so equations
+can be compared by that likelihood, and hidden states are no obstacle. One equation is corrected at a time. Source:
+Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.problem import Problem, Signals
+
+_RATES = 10.0 ** np.arange(-6.0, 0.1, 1.0)  # of w: in state scales per sample, as a part of the error's size
+_WIDE = 1e3  # prior deviation of δx_0 and d_0, in the same units
+
+
+class Correction(NamedTuple):
+    """mean and std `[x, seq, time]` of d in the states' unit per second; likelihood `[x]`: log-likelihood of the
+    errors, above that of a model in which the correction is as small as can be."""
+
+    mean: Float[np.ndarray, "x seq time"]
+    std: Float[np.ndarray, "x seq time"]
+    likelihood: Float[np.ndarray, " x"]
+
+
+def smoothed_correction(
+    problem: Problem,
+    signals: Signals,
+    theta: Float[np.ndarray, " p"],
+    x: Float[np.ndarray, "seq time x"],
+    x0: Float[np.ndarray, "seq x"],
+    error: Float[np.ndarray, "seq time y"],
+    noise: float,
+) -> Correction:
+    """x: states of the free run (after each input); error: weighted errors; noise: their standard deviation."""
+    n = len(problem.physics.states)
+    before = np.concatenate([x0[:, None], x[:, :-1]], 1)[..., :n]
+    physics, params = problem.physics, problem.params(theta)
+    a, c = _derivatives(physics.step, physics.measure, physics.reads, params, before, x[..., :n], signals.u)
+    c = np.asarray(c) * signals.weight[..., None]
+    size = np.maximum(x[..., :n].std((0, 1)), 1e-12)  # states in units of their spread
+    a, c = np.asarray(a) * size / size[:, None], c * size
+    mean, std, likelihood = _smooth(
+        jnp.asarray(a), jnp.asarray(c), jnp.asarray(error), jnp.asarray(signals.weight > 0), noise, physics.reads
+    )
+    scale = (size / physics.dt)[:, None, None]
+    return Correction(np.asarray(mean) * scale, np.asarray(std) * scale, np.asarray(likelihood))
+
+
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _derivatives(
+    step: Any, measure: Any, reads: str, params: Any, before: jax.Array, after: jax.Array, u: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """A `[seq, time, x, x]` and C `[seq, time, y, x]`."""
+
+    def each(function: Any) -> Any:
+        return jax.vmap(jax.vmap(jax.jacfwd(function, 1), (None, 0, 0)), (None, 0, 0))
+
+    return each(step)(params, before, u), each(measure)(params, after if reads == "after_step" else before, u)
+
+
+@partial(jax.jit, static_argnums=5)
+def _smooth(
+    a: jax.Array, c: jax.Array, error: jax.Array, measured: jax.Array, noise: float, reads: str
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Mean and deviation `[x, seq, time]` of d (per sample, scaled) at the likeliest rate; the gain in likelihood."""
+    n = a.shape[-1]
+    rates = jnp.asarray(_RATES) * jnp.maximum(jnp.std(error), noise)
+
+    def one(equation: jax.Array, rate: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        run = jax.vmap(lambda a, c, e, m: _one_sequence(a, c, e, m, noise, equation, rate, reads))
+        mean, std, likelihood = run(a, c, error, measured)
+        return mean, std, likelihood.sum()
+
+    over_rates = jax.vmap(one, (None, 0))
+    mean, std, likelihood = jax.lax.map(lambda e: over_rates(e, rates), jnp.eye(n))
+    best = jnp.argmax(likelihood, 1)
+
+    def take(a: jax.Array) -> jax.Array:
+        return jnp.take_along_axis(a, best[:, None, None, None], 1)[:, 0]
+
+    return take(mean), take(std), likelihood.max(1) - likelihood[:, 0]
+
+
+def _one_sequence(
+    a: jax.Array,
+    c: jax.Array,
+    error: jax.Array,
+    measured: jax.Array,
+    noise: float,
+    equation: jax.Array,
+    rate: jax.Array,
+    reads: str,
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    n = a.shape[-1]
+
+    def transition(a_t: jax.Array) -> jax.Array:
+        return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(a_t).at[:n, n].set(equation).at[n, n].set(1.0)
+
+    drift = jnp.zeros((n + 1, n + 1)).at[n, n].set(rate**2)
+
+    def predict(z: jax.Array, p: jax.Array, f: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return f @ z, f @ p @ f.T + drift
+
+    def update(z: jax.Array, p: jax.Array, c_t: jax.Array, e: jax.Array, m: jax.Array) -> tuple[jax.Array, ...]:
+        h = jnp.where(m[:, None], jnp.concatenate([c_t, jnp.zeros((len(c_t), 1))], 1), 0.0)
+        r = jnp.where(m, noise**2, 1.0)
+        innovation = jnp.where(m, e - h @ z, 0.0)
+        s = h @ p @ h.T + jnp.diag(r)
+        gain = jnp.linalg.solve(s, h @ p).T
+        fitted = -0.5 * (innovation @ jnp.linalg.solve(s, innovation) + jnp.linalg.slogdet(s)[1])
+        return z + gain @ innovation, p - gain @ h @ p, fitted
+
+    def forward(carry: tuple[jax.Array, jax.Array], inputs: tuple[jax.Array, ...]) -> tuple[Any, Any]:
+        z, p = carry
+        a_t, c_t, e, m = inputs
+        f = transition(a_t)
+        if reads == "after_step":
+            z_old, p_old = z, p
+            z_new, p_new = predict(z, p, f)
+            z, p, fitted = update(z_new, p_new, c_t, e, m)
+        else:
+            z_old, p_old, fitted = update(z, p, c_t, e, m)
+            z_new, p_new = predict(z_old, p_old, f)
+            z, p = z_new, p_new
+        return (z, p), (z_old, p_old, z_new, p_new, f, fitted)
+
+    start = (jnp.zeros(n + 1), jnp.diag(jnp.full(n + 1, _WIDE * noise**2)))
+    (z, p), (z_old, p_old, z_new, p_new, f, fitted) = jax.lax.scan(forward, start, (a, c, error, measured))
+
+    def backward(carry: tuple[jax.Array, jax.Array], inputs: tuple[jax.Array, ...]) -> tuple[Any, Any]:
+        """From the smoothed z_t to the smoothed z_{t-1}; what comes out is d_t."""
+        z, p = carry
+        z_old, p_old, z_new, p_new, f = inputs
+        gain = jnp.linalg.solve(p_new + 1e-14 * jnp.eye(n + 1), f @ p_old).T
+        earlier = (z_old + gain @ (z - z_new), p_old + gain @ (p - p_new) @ gain.T)
+        return earlier, (z[n], jnp.sqrt(jnp.maximum(p[n, n], 0.0)))
+
+    _, (mean, std) = jax.lax.scan(backward, (z, p), (z_old, p_old, z_new, p_new, f), reverse=True)
+    return mean, std, fitted.sum()

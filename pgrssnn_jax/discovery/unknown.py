@@ -1,0 +1,180 @@
+"""What is missing but has no name: which equation, by which signal, and the shortest formula that says so.
+
+A flexible correction is fitted by free run for every equation and signal (`flexible.py`); the curve of the best one is
+then written as a sum of few terms, and the formula is put in the curve's place and simulated again. A hidden periodic
+disturbance is a line in the spectrum of the errors that the input does not have.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate
+from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
+from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, look_at
+from pgrssnn_jax.physics.base import Physics
+
+_ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
+_LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
+_LINE_SHARE = 0.1  # of the energy of the errors
+_NEIGHBOURS = 25  # bins on either side
+
+
+class Formula(NamedTuple):
+    """text: for people; target and by: names of the corrected quantity and of the signal; curve: values of signal and
+    correction; closed: part of what the flexible correction closes that the formula closes too, in free run."""
+
+    text: str
+    target: str
+    by: str
+    curve: Float[np.ndarray, "2 knots"]
+    closed: float
+
+
+class Line(NamedTuple):
+    """A sinusoid in the errors: period in s, amplitude in the output's unit, share of the error energy."""
+
+    period_s: float
+    amplitude: float
+    share: float
+    output: int
+
+
+def flexible_problem(problem: Problem) -> Problem:
+    """The same problem with every flexible correction beside the catalogue."""
+    return build_problem(problem.physics, (*problem.effects, *flexible_effects(problem.physics)))
+
+
+def look_beyond(
+    problem: Problem,
+    flexible: Problem,
+    signals: Signals,
+    beside: Validated,
+    settings: Settings,
+    rules: Rules,
+    rng: np.random.Generator,
+) -> Stage:
+    """What flexible corrections add to a model of the catalogue, judged as named effects are. signals: `flexible`'s."""
+    known = [effect.name for effect in problem.effects]
+    theta, x0 = carried(problem, flexible, beside.estimate.theta, beside.estimate.x0, signals.start)
+    few = settings._replace(lanes=16, spare=2 * settings.spare)
+    return look_at(
+        flexible, signals, Guess(beside.estimate.active, theta, x0), few, rules._replace(finalists=2), rng, known
+    )
+
+
+def formula(
+    flexible: Problem, signals: Signals, stage: Stage, best: Candidate, x: Float[np.ndarray, "seq time x"]
+) -> Formula:
+    """The curve of a flexible correction in words. x: states of the free run with it."""
+    physics = flexible.physics
+    where = families(physics)[best.name]
+    numbers = flexible.params(best.guess.theta)[best.name]
+    target = _target(physics, where)
+    if where.kind == "history":
+        lags = ", ".join(f"{c:+.3g} at {k + 1}" for k, c in enumerate(numbers["c"]))
+        text = f"{target} depends on its past: weights {lags} samples ago"
+        return Formula(text, target, target, np.stack([np.arange(len(numbers["c"])) + 1.0, numbers["c"]]), 1.0)
+    signal = _signal(physics, where)
+    low, high, c = float(numbers["low"]), float(numbers["high"]), np.asarray(numbers["c"])
+    at = np.linspace(low, high, KNOTS)
+    visits = _visits(_values(where, signals, x), low, high)
+    terms, values = _sparse(at, c, visits, signal)
+    simulated = evaluate(
+        flexible,
+        signals,
+        best.guess._replace(theta=flexible.put(best.guess.theta, best.name, {**numbers, "c": values})),
+    )
+    gained = stage.base.estimate.cost**0.5 - (best.validated or stage.base).estimate.cost ** 0.5
+    closed = (stage.base.estimate.cost**0.5 - simulated.cost**0.5) / gained if gained > 0 else 0.0
+    left = f"d({target})/dt" if where.kind == "state" else target
+    return Formula(f"{left} gains {terms}", target, signal, np.stack([at, c]), float(closed))
+
+
+def _target(physics: Physics, where: Where) -> str:
+    if where.kind == "state":
+        return physics.states[where.target].name
+    return (physics.outputs if where.kind == "output" else physics.inputs)[where.target].name
+
+
+def _signal(physics: Physics, where: Where) -> str:
+    kind, index = where.by
+    return {"x": physics.states, "u": physics.inputs, "y": physics.outputs}[kind][index].name
+
+
+def _values(where: Where, signals: Signals, x: np.ndarray) -> np.ndarray:
+    kind, index = where.by
+    return {"x": x, "u": signals.u, "y": signals.y}[kind][..., index].ravel()
+
+
+def _visits(values: np.ndarray, low: float, high: float) -> Float[np.ndarray, " knots"]:
+    """How often the signal is near each knot."""
+    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
+    return np.maximum(1.0 - np.abs(place[:, None] - np.arange(KNOTS)), 0.0).sum(0)
+
+
+def _sparse(at: np.ndarray, c: np.ndarray, visits: np.ndarray, name: str) -> tuple[str, Float[np.ndarray, " knots"]]:
+    """As few terms as explain the curve where it was visited."""
+    weight = np.sqrt(visits / visits.sum())
+    library = _library(at, name)
+    chosen: list[tuple[str, np.ndarray]] = []
+    total = float(((c - np.average(c, weights=visits)) ** 2 * visits).sum() / visits.sum()) or 1.0
+    values, coefficients = np.zeros_like(c), np.zeros(0)
+    for _ in range(3):
+        tried = []
+        for term in library:
+            columns = np.stack([column for _, column in (*chosen, term)], 1)
+            found, *_ = np.linalg.lstsq(columns * weight[:, None], c * weight, rcond=None)
+            tried.append((float(((c - columns @ found) ** 2 * visits).sum() / visits.sum()), term, found, columns))
+        left, term, coefficients, columns = min(tried, key=lambda t: t[0])
+        chosen.append(term)
+        values = columns @ coefficients
+        if left <= (1.0 - _ENOUGH) * total:
+            break
+    text = " ".join(f"{k:+.3g} {word}".rstrip() for k, (word, _) in zip(coefficients, chosen, strict=True))
+    return text, values
+
+
+def _library(at: np.ndarray, name: str) -> list[tuple[str, np.ndarray]]:
+    terms: list[tuple[str, np.ndarray]] = [
+        ("", np.ones_like(at)),
+        (name, at),
+        (f"{name}²", at**2),
+        (f"{name}³", at**3),
+        (f"|{name}|", np.abs(at)),
+        (f"{name}|{name}|", at * np.abs(at)),
+        (f"sqrt(max({name}, 0))", np.sqrt(np.maximum(at, 0.0))),
+        (f"sin({name})", np.sin(at)),
+    ]
+    for bend in at[1:-1]:
+        terms.append((f"max({name} - {bend:.3g}, 0)", np.maximum(at - bend, 0.0)))
+        terms.append((f"max({bend:.3g} - {name}, 0)", np.maximum(bend - at, 0.0)))
+    return terms
+
+
+def spectral_line(signals: Signals, error: Float[np.ndarray, "seq time y"], dt: float) -> Line | None:
+    """The strongest line in the errors that stands out of its neighbourhood and is not one of the input."""
+    time = error.shape[1]
+    if time < 4 * _NEIGHBOURS:
+        return None
+    window = np.hanning(time)[None, :, None]
+    power = (np.abs(np.fft.rfft(error * window, axis=1)) ** 2).sum(0)
+    driven = (np.abs(np.fft.rfft((signals.u - signals.u.mean(1, keepdims=True)) * window, axis=1)) ** 2).sum((0, 2))
+    found: list[Line] = []
+    for j in range(error.shape[2]):
+        k = int(np.argmax(power[2:-2, j])) + 2
+        share = float(power[k - 2 : k + 3, j].sum() / power[1:, j].sum())
+        alone = power[k, j] > _LINE * _surroundings(power[:, j], k)
+        if alone and share > _LINE_SHARE and driven[k] < _LINE * _surroundings(driven, k):
+            scale = float(np.max(signals.weight[..., j]))
+            amplitude = float(np.sqrt(2.0 * share * (error[..., j] ** 2).mean())) / scale
+            found.append(Line(time * dt / k, amplitude, share, j))
+    return max(found, key=lambda line: line.share, default=None)
+
+
+def _surroundings(power: np.ndarray, k: int) -> float:
+    """Median of the neighbourhood of a bin without the line itself."""
+    near = np.r_[power[max(1, k - _NEIGHBOURS) : max(1, k - 3)], power[k + 4 : k + _NEIGHBOURS]]
+    return float(np.median(near)) if len(near) else 0.0

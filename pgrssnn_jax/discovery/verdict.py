@@ -1,0 +1,118 @@
+"""What may be said, and with what right.
+
+no_discrepancy   the physics as given is as good as the refitted one, and nothing of the catalogue is missing
+miscalibrated    only parameters were wrong
+effect_found     named effects close the gap
+ambiguous        named effects close it, but others do as well on these data
+unknown_effect   what is missing is in no catalogue, or what was found leaves a part that follows the signals
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.estimate import Validated
+from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
+from pgrssnn_jax.discovery.unknown import Line
+
+_RESAMPLED = 500
+_SIMILAR = 0.05  # part of an effect's own gain by which another may fall short and still be as good
+_CHANCE = 0.1  # probability that the other is the better one, above which the data do not decide
+_SHIFTED = 1.05  # ratio of the errors as given and refitted, above which parameters were wrong
+_BESIDE = 0.15  # part of the gap that a correction without a name must close beside the named effects to be missed
+_INSTEAD = 0.015  # the same for one in their place: what is truly there is never beaten by it but by chance
+_CERTAIN = 0.98  # probability that it is the better one
+
+
+class Verdict(StrEnum):
+    NO_DISCREPANCY = "no_discrepancy"
+    MISCALIBRATED = "miscalibrated"
+    EFFECT_FOUND = "effect_found"
+    AMBIGUOUS = "ambiguous"
+    UNKNOWN_EFFECT = "unknown_effect"
+
+
+class Beyond(NamedTuple):
+    """The best correction without a name, beside the named effects and beside nothing; a line in the spectrum."""
+
+    beside: Stage | None
+    alone: Stage | None
+    line: Line | None
+
+
+class Judged(NamedTuple):
+    """unexplained: the stage and candidate of the correction that no name covers; alternatives: per effect, candidates
+    that do as well."""
+
+    verdict: Verdict
+    unexplained: tuple[Stage, Candidate] | None
+    alternatives: dict[str, tuple[Candidate, ...]]
+
+
+def judge(problem: Problem, found: Found, beyond: Beyond, before: float, rules: Rules, seed: int) -> Judged:
+    """before: error energy of the physics as given, with the best initial state."""
+    rng = np.random.default_rng(seed)
+    gap = max(found.recalibrated.cost**0.5 - found.floor**0.5, 0.0)
+    unexplained = _unexplained(found, beyond, gap, rules, rng)
+    alternatives = {name: _alternatives(problem, found, name, rng) for name in found.final.estimate.active}
+    if unexplained is not None or beyond.line is not None:
+        verdict = Verdict.UNKNOWN_EFFECT
+    elif found.final.estimate.active:
+        verdict = Verdict.AMBIGUOUS if any(alternatives.values()) else Verdict.EFFECT_FOUND
+    else:
+        wrong = before**0.5 > _SHIFTED * found.recalibrated.estimate.cost**0.5
+        verdict = Verdict.MISCALIBRATED if wrong else Verdict.NO_DISCREPANCY
+    return Judged(verdict, unexplained, alternatives)
+
+
+def _unexplained(
+    found: Found, beyond: Beyond, gap: float, rules: Rules, rng: np.random.Generator
+) -> tuple[Stage, Candidate] | None:
+    """A correction without a name that does clearly better than the named effects, in their place or beside them."""
+    for stage, least in ((beyond.alone, _INSTEAD), (beyond.beside, _BESIDE)):
+        if stage is None or not stage.candidates or stage.candidates[0].validated is None:
+            continue
+        best = stage.candidates[0]
+        assert best.validated is not None
+        more = found.final.cost**0.5 - best.cost**0.5
+        clear = found.final.cost - best.cost >= rules.least * found.final.cost
+        likely = chance_better(best.validated, found.final, rng) >= _CERTAIN
+        if more >= least * gap and clear and likely and stage.p_value(best) <= rules.p_value:
+            return stage, best
+    return None
+
+
+def _alternatives(problem: Problem, found: Found, name: str, rng: np.random.Generator) -> tuple[Candidate, ...]:
+    """Candidates that do as well in the place of an effect; simpler forms of it aside, because they were preferred."""
+    stage = found.stages[name]
+    own = next((c for c in stage.candidates if c.name == name), None)
+    if own is None or own.validated is None:
+        return ()
+    gained = stage.base.cost - own.cost
+    effect = problem.effect(name)
+    rivals = []
+    for other in stage.candidates:
+        related = other.name in effect.simpler or name in problem.effect(other.name).simpler
+        if other.name == name or related or other.validated is None:
+            continue
+        near = stage.base.cost - other.cost >= (1.0 - _SIMILAR) * gained
+        if near and chance_better(other.validated, own.validated, rng) > _CHANCE:
+            rivals.append(other)
+    return tuple(rivals)
+
+
+def chance_better(one: Validated, other: Validated, rng: np.random.Generator, block: int = 32) -> float:
+    """Probability that `one` predicts left-out samples better, from blocks of samples drawn with replacement."""
+    difference = block_sums(one.held_out**2 - other.held_out**2, block)
+    drawn = difference[rng.integers(0, len(difference), (_RESAMPLED, len(difference)))].sum(1)
+    return float((drawn < 0).mean() + 0.5 * (drawn == 0).mean())
+
+
+def block_sums(values: Float[np.ndarray, "seq time y"], block: int) -> Float[np.ndarray, " blocks"]:
+    """Sums over outputs and over consecutive blocks of samples of every sequence."""
+    per_sample = values.sum(-1)
+    edges = np.arange(0, per_sample.shape[1], block)
+    return np.add.reduceat(per_sample, edges, axis=1).ravel()

@@ -1,0 +1,1 @@
+"""Named physical effects that a model may lack."""

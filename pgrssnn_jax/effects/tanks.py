@@ -1,0 +1,218 @@
+"""Effects that a model of two cascaded tanks may lack. Levels x1, x2 and the pump voltage u in V, time in s.
+
+    overflow     x1 > L: the excess leaves the upper tank; a share α of it lands in the lower one
+    pump         u ← max(u - u0, 0)        u ← min(u, u_max)        u ← u (1 + c u / 10 V)
+    leak         dx1/dt ← dx1/dt - r x1
+    bypass       dx1/dt ← dx1/dt - β k3 u,   dx2/dt ← dx2/dt + β k3 u
+    outlet       k4 √x2 ← k4 x2^γ
+
+Flows that an effect adds act once per sample, at the mean of the levels before and after it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgrssnn_jax.effects.base import Effect, Reach, after_step, on_input
+from pgrssnn_jax.physics.base import Parameter, Physics
+
+_INFINITE = float("inf")
+_FULL_SCALE = 10.0  # V
+
+
+def tank_effects(physics: Physics) -> tuple[Effect, ...]:
+    """Flows first, limits of the levels after them, then what happens to the input."""
+    return (
+        leak_tank1(physics.dt),
+        bypass(physics.dt),
+        outlet_exponent(physics.dt),
+        overflow_1to2(),
+        overflow_lost(),
+        tank2_overflow(),
+        pump_nonlinearity(),
+        pump_dead_zone(),
+        pump_saturation(),
+    )
+
+
+def _between(x: jax.Array, new: jax.Array) -> jax.Array:
+    return jnp.maximum(0.5 * (x + new), 0.0)
+
+
+def _shares(name: str, signal: str, index: int, shares: tuple[float, ...]) -> Callable[[Reach], list[dict[str, Any]]]:
+    """Starting values inside the reach of one signal."""
+
+    def starts(reach: Reach) -> list[dict[str, Any]]:
+        low, high = getattr(reach, signal)[:, index]
+        return [{name: np.asarray(low + share * (high - low))} for share in shares]
+
+    return starts
+
+
+def overflow_1to2() -> Effect:
+    name = "overflow_1to2"
+
+    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        excess = jnp.maximum(new[0] - p[name]["level"], 0.0)
+        return new.at[0].add(-excess).at[1].add(p[name]["share"] * excess)
+
+    def starts(reach: Reach) -> list[dict[str, Any]]:
+        levels = _shares("level", "x", 0, (0.55, 0.75, 0.9))(reach)
+        return [{**start, "share": np.asarray(0.7)} for start in levels]
+
+    return Effect(
+        name,
+        "Overflow of the upper tank into the lower",
+        "x1 ≤ L; x2 gains α times what spills",
+        "the upper tank runs over its rim, and part of the water falls into the lower tank",
+        "dynamics",
+        {
+            "level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE),
+            "share": Parameter("α", "", bounds=(0.0, 1.0), neutral=1.0),
+        },
+        starts,
+        lambda physics: after_step(physics, change),
+        active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
+        simpler=("overflow_lost",),
+    )
+
+
+def overflow_lost() -> Effect:
+    name = "overflow_lost"
+    return Effect(
+        name,
+        "Overflow of the upper tank, lost",
+        "x1 ≤ L",
+        "the upper tank runs over its rim, and the water leaves the system",
+        "dynamics",
+        {"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        _shares("level", "x", 0, (0.55, 0.75, 0.9)),
+        lambda physics: after_step(physics, lambda p, x, u, new: new.at[0].min(p[name]["level"])),
+        active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
+    )
+
+
+def tank2_overflow() -> Effect:
+    name = "tank2_overflow"
+    return Effect(
+        name,
+        "Overflow of the lower tank",
+        "x2 ≤ L",
+        "the lower tank runs over its rim",
+        "dynamics",
+        {"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        _shares("level", "x", 1, (0.65, 0.8, 0.93)),
+        lambda physics: after_step(physics, lambda p, x, u, new: new.at[1].min(p[name]["level"])),
+        active=lambda n, x, u: x[:, 1] >= n["level"] - 1e-6,
+    )
+
+
+def pump_dead_zone() -> Effect:
+    name = "pump_dead_zone"
+    return Effect(
+        name,
+        "Dead zone of the pump",
+        "u' = max(u - u0, 0)",
+        "the pump moves no water until its voltage has overcome friction and head",
+        "input",
+        {"voltage": Parameter("u0", "V", bounds=(0.0, _INFINITE), neutral=0.0)},
+        _shares("voltage", "u", 0, (0.1, 0.25, 0.45)),
+        lambda physics: on_input(physics, name, lambda n, u: _dead(u, n["voltage"])),
+        active=lambda n, x, u: u[:, 0] < n["voltage"],
+    )
+
+
+def _dead(u: jax.Array, voltage: jax.Array) -> jax.Array:
+    """A negative voltage, which no pump of this kind has, is left alone."""
+    return jnp.where(u > 0.0, jnp.maximum(u - voltage, 0.0), u)
+
+
+def pump_saturation() -> Effect:
+    name = "pump_saturation"
+    return Effect(
+        name,
+        "Saturation of the pump",
+        "u' = min(u, u_max)",
+        "the pump delivers no more above some voltage",
+        "input",
+        {"voltage": Parameter("u_max", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        _shares("voltage", "u", 0, (0.55, 0.7, 0.85)),
+        lambda physics: on_input(physics, name, lambda n, u: jnp.minimum(u, n["voltage"])),
+        active=lambda n, x, u: u[:, 0] > n["voltage"],
+    )
+
+
+def pump_nonlinearity() -> Effect:
+    name = "pump_nonlinearity"
+    return Effect(
+        name,
+        "Curved pump characteristic",
+        "u' = u (1 + c u / 10 V)",
+        "the flow of the pump is not proportional to its voltage",
+        "input",
+        {"curvature": Parameter("c", "", bounds=(-0.95, 5.0), neutral=0.0)},
+        lambda reach: [{"curvature": np.asarray(c)} for c in (-0.3, 0.3)],
+        lambda physics: on_input(physics, name, lambda n, u: u * (1.0 + n["curvature"] * u / _FULL_SCALE)),
+    )
+
+
+def leak_tank1(dt: float) -> Effect:
+    name = "leak_tank1"
+
+    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        return new.at[0].add(-dt * p[name]["rate"] * _between(x, new)[0])
+
+    return Effect(
+        name,
+        "Leak of the upper tank",
+        "dx1/dt = ... - r x1",
+        "the upper tank loses water that does not reach the lower one",
+        "dynamics",
+        {"rate": Parameter("r", "1/s", bounds=(0.0, 0.1), neutral=0.0)},
+        lambda reach: [{"rate": np.asarray(r)} for r in (0.001, 0.005)],
+        lambda physics: after_step(physics, change),
+    )
+
+
+def bypass(dt: float) -> Effect:
+    name = "bypass"
+
+    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        flow = dt * p[name]["share"] * p["k3"] * u[0]
+        return new.at[0].add(-flow).at[1].add(flow)
+
+    return Effect(
+        name,
+        "Bypass of the upper tank",
+        "a share β of k3 u flows into the lower tank",
+        "part of the pump's flow misses the upper tank",
+        "dynamics",
+        {"share": Parameter("β", "", bounds=(0.0, 1.0), neutral=0.0)},
+        lambda reach: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
+        lambda physics: after_step(physics, change),
+    )
+
+
+def outlet_exponent(dt: float) -> Effect:
+    name = "outlet_exponent"
+
+    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        level = _between(x, new)[1]
+        wet = level > 0.0
+        level = jnp.where(wet, level, 1.0)  # no power of zero in the gradient
+        other = p["k4"] * jnp.sqrt(level) * (level ** (p[name]["exponent"] - 0.5) - 1.0)
+        return new.at[1].add(-dt * jnp.where(wet, other, 0.0))
+
+    return Effect(
+        name,
+        "Outlet that is no sharp orifice",
+        "outflow k4 x2^γ",
+        "the outlet of the lower tank has a tube, or its flow is partly laminar",
+        "dynamics",
+        {"exponent": Parameter("γ", "", bounds=(0.1, 1.5), neutral=0.5)},
+        lambda reach: [{"exponent": np.asarray(g)} for g in (0.4, 0.65)],
+        lambda physics: after_step(physics, change),
+    )

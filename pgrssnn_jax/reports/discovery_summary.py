@@ -1,0 +1,257 @@
+"""What `discovery.json` says: its verdict in words, its figures as rows, and all of it as a summary for the terminal.
+
+The page and the pictures of a discovery run read the same rows. A missing figure is NaN here and shown as a dash.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from pgrssnn_jax.reports import content
+from pgrssnn_jax.reports.content import MISSING, Metrics, Number, plus_minus, rounded
+
+Discovery = Mapping[str, Any]
+
+VERDICTS = {
+    "no_discrepancy": "The physics explains the data as it is",
+    "miscalibrated": "The equations are right, their numbers were not",
+    "effect_found": "A missing effect was found",
+    "ambiguous": "An effect is missing, and the data allow several",
+    "unknown_effect": "Something is missing that no known effect explains",
+}
+"""The heading for each verdict."""
+
+STAGES = {"before": "physics as given", "recalibrated": "numbers refitted", "after": "with what was found"}
+SHOWN_SHIFTS = 10
+SHOWN_INTERVALS = 5
+
+
+class GapRow(NamedTuple):
+    """The error of one stage of the physics; low and high: interval of the test figure."""
+
+    stage: str
+    words: str
+    train: float
+    test: float
+    low: float
+    high: float
+
+
+class Shift(NamedTuple):
+    """One number of the physics: as given, refitted on its own, and at the end, beside what was found."""
+
+    name: str
+    unit: str
+    before: float
+    recalibrated: float
+    recalibrated_std: float
+    final: float
+    final_std: float
+
+    def relative(self, value: float) -> float:
+        """How far `value` is from where the number began, as a share of it; NaN where it began at zero."""
+        return (value - self.before) / abs(self.before) if self.before else math.nan
+
+    @property
+    def size(self) -> float:
+        moved = [abs(self.relative(v)) for v in (self.recalibrated, self.final)]
+        return max((m for m in moved if math.isfinite(m)), default=math.nan)
+
+
+class Quantity(NamedTuple):
+    """One number of an effect, of one channel or joint where it has several."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+def real(value: Any) -> float:
+    return math.nan if value is None else float(value)
+
+
+def percent(share: Any) -> str:
+    """A share as a percentage with one decimal, a large one without."""
+    share = 100 * real(share)
+    return MISSING if not math.isfinite(share) else f"{share:.1f} %" if abs(share) < 99.95 else f"{share:.0f} %"
+
+
+def heading(discovery: Discovery) -> str:
+    verdict, count = str(discovery["verdict"]), len(discovery.get("effects") or ())
+    if verdict == "effect_found" and count > 1:
+        return f"{count} missing effects were found"
+    return VERDICTS.get(verdict, verdict)
+
+
+def as_metrics(discovery: Discovery) -> Metrics:
+    """The facts that the headers of the existing figures and pages are made of."""
+    everyone = {"planned": 1, "finished": 1, "failed": 0}
+    same = {name: discovery["data"].get(name) for name in ("source", "origin", "dt")}
+    facts = {"system": discovery["system"], "model": heading(discovery), "outputs": discovery.get("outputs") or []}
+    return {**facts, **same, "summary": everyone}
+
+
+def gap_rows(discovery: Discovery) -> list[GapRow]:
+    """Before, recalibrated, after; and the floor of the measurement noise where it is known."""
+    gap = discovery.get("gap") or {}
+    rows = []
+    for stage, words in STAGES.items():
+        error, interval = gap.get(stage) or {}, (gap.get("test_interval") or {}).get(stage) or (None, None)
+        rows.append(GapRow(stage, words, real(error.get("train")), real(error.get("test")), *map(real, interval)))
+    if gap.get("floor") is not None:
+        rows.append(GapRow("floor", "noise of the measurement", math.nan, real(gap["floor"]), math.nan, math.nan))
+    return rows
+
+
+def gap_metric(discovery: Discovery) -> tuple[str, str]:
+    """Name and unit of the error."""
+    gap = discovery.get("gap") or {}
+    return str(gap.get("metric") or "RMSE"), str(gap.get("unit") or "")
+
+
+def gap_line(discovery: Discovery) -> str:
+    """The errors on the test record in one line."""
+    metric, unit = gap_metric(discovery)
+    return f"test {metric}: " + ", ".join(f"{row.stage} {rounded(row.test, unit)}" for row in gap_rows(discovery))
+
+
+def shifts(discovery: Discovery) -> list[Shift]:
+    """Every number of the physics, largest relative shift first; at the end those that have none."""
+    refitted, final = discovery.get("recalibration") or {}, discovery.get("parameters") or {}
+    rows = []
+    for name in dict.fromkeys([*refitted, *final]):
+        old, new = refitted.get(name) or {}, final.get(name) or {}
+        found = (old.get("before"), old.get("after"), old.get("std"), new.get("value"), new.get("std"))
+        columns = [list(v) if isinstance(v, Sequence) else [v] for v in found]
+        several = max(map(len, columns))
+        for k in range(several):
+            values = (real(column[k] if k < len(column) else None) for column in columns)
+            label = f"{name}[{k + 1}]" if several > 1 else str(name)
+            rows.append(Shift(label, str(new.get("unit") or old.get("unit") or ""), *values))
+    return sorted(rows, key=lambda row: -math.inf if math.isnan(row.size) else row.size, reverse=True)
+
+
+def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
+    """The numbers of an effect; lists are spelled out, by joint or channel."""
+    rows = []
+    for name, parameter in (effect.get("parameters") or {}).items():
+        value, std = parameter.get("value"), parameter.get("std")
+        values = list(value) if isinstance(value, Sequence) else [value]
+        stds = list(std) if isinstance(std, Sequence) else [std] * len(values)
+        places = [""] * len(values) if not isinstance(value, Sequence) else _places(effect, len(values))
+        symbol, unit = parameter.get("symbol") or name, parameter.get("unit") or ""
+        names = [f"{symbol}, {place}" if place else str(symbol) for place in places]
+        rows += [Quantity(n, real(v), real(s), unit) for n, v, s in zip(names, values, stds, strict=True)]
+    return rows
+
+
+def _places(effect: Mapping[str, Any], count: int) -> list[str]:
+    joints, channels = effect.get("joints") or (), effect.get("channels") or "channel"
+    if len(joints) == count:
+        return [f"joint {joint}" for joint in joints]
+    return [f"{channels} {k + 1}" if isinstance(channels, str) else str(channels[k]) for k in range(count)]
+
+
+def intervals(listed: Sequence[Sequence[Number]] | None) -> str:
+    """Spans of time in words, the first few of many."""
+    spans = [f"{start:g} to {stop:g} s" for start, stop in (listed or ())]
+    more = f" and {len(spans) - SHOWN_INTERVALS} more" if len(spans) > SHOWN_INTERVALS else ""
+    return ", ".join(spans[:SHOWN_INTERVALS]) + more
+
+
+def effect_facts(effect: Mapping[str, Any]) -> dict[str, str]:
+    """Where and when an effect acts and how sure it is, in words; what is not known is left out."""
+    runner, p = effect.get("runner_up") or {}, effect.get("p_value")
+    joints = ", ".join(map(str, effect.get("joints") or ()))
+    active = percent(effect["active_fraction"]) if effect.get("active_fraction") is not None else ""
+    gains = [percent(effect.get(f"gain_{part}")) for part in ("test", "train")]
+    facts = {
+        "cause": effect.get("cause"),
+        "acts on": ", joint ".join(filter(None, (str(effect.get("acts_on") or ""), joints))),
+        "where": effect.get("region"),
+        "active": f"in {active} of the samples" if active else "",
+        "when": intervals(effect.get("intervals_s")),
+        "gap closed": f"{gains[0]} on test, {gains[1]} on training data",
+        "by chance": f"p = {p:.2g}" if p is not None else "",
+        "runner-up": f"{runner.get('name')}, would close {percent(runner.get('gain'))}" if runner else "",
+    }
+    return {name: str(text) for name, text in facts.items() if text}
+
+
+def discovery_summary(discovery: Discovery) -> Group:
+    """The verdict in large, a card per finding, the gap, the largest shifts of parameters, the seconds."""
+    colour = "green" if discovery["verdict"] in ("no_discrepancy", "miscalibrated", "effect_found") else "yellow"
+    verdict = Text(f"{heading(discovery).upper()}\n", f"bold {colour}").append(
+        str(discovery.get("sentence") or ""), "not bold"
+    )
+    parts: list[RenderableType] = [Panel(verdict, box=box.HEAVY, border_style=colour, padding=(1, 2))]
+    parts += [_card(effect) for effect in discovery.get("effects") or ()]
+    for name, rows, why in (("or", "alternatives", "experiment"), ("cannot be tested", "untestable", "reason")):
+        for row in discovery.get(rows) or ():
+            gain = f", closes {percent(row['gain'])}" if row.get("gain") is not None else ""
+            parts.append(Text(f"{name}: {row['name']}{gain}; {why}: {row.get(why) or MISSING}"))
+    if discovery.get("formula"):
+        parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
+    parts += [_gap_table(discovery), *_shift_table(discovery), _source(discovery)]
+    spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
+    return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
+
+
+def _source(discovery: Discovery) -> Text:
+    metrics = as_metrics(discovery)
+    return Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
+
+
+def _card(effect: Mapping[str, Any]) -> Panel:
+    grid = Table.grid(padding=(0, 2))
+    grid.add_column(style="dim", no_wrap=True)
+    grid.add_column()
+    for q in quantities(effect):
+        grid.add_row(Text(q.name), Text(plus_minus(q.value, q.std, q.unit), "bold"))
+    for name, text in effect_facts(effect).items():
+        grid.add_row(Text(name), Text(text))
+    if effect.get("command"):
+        grid.add_row(Text("command"), Text(str(effect["command"])))
+    equation = Text(str(effect.get("equation") or ""), "bold cyan")
+    title = Text(f"{effect.get('title') or effect['name']} · {effect['name']}", "bold")
+    return Panel(Group(equation, grid), title=title, title_align="left", box=box.ROUNDED)
+
+
+def _gap_table(discovery: Discovery) -> Table:
+    metric, unit = gap_metric(discovery)
+    closed = (discovery.get("gap") or {}).get("closed_fraction")
+    footer = f"{percent(closed)} of the gap closed" if closed is not None else ""
+    table = _table(f"{metric}{f' in {unit}' if unit else ''}", ("physics", "train", "test", "test interval"), footer)
+    for row in gap_rows(discovery):
+        span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
+        name = f"{row.stage}: {row.words}"
+        table.add_row(*map(Text, (name, rounded(row.train), rounded(row.test), span)))
+    return table
+
+
+def _shift_table(discovery: Discovery) -> list[Table]:
+    rows = shifts(discovery)
+    if not rows:
+        return []
+    more = len(rows) - SHOWN_SHIFTS
+    header = ("number", "before", "refitted", "final ± std", "unit", "shift")
+    table = _table("numbers, largest shift first", header, f"{more} more on the page" if more > 0 else "")
+    for row in rows[:SHOWN_SHIFTS]:
+        cells = (rounded(row.before), rounded(row.recalibrated), plus_minus(row.final, row.final_std))
+        table.add_row(*map(Text, (row.name, *cells, row.unit or MISSING, percent(row.size))))
+    return [table]
+
+
+def _table(title: str, header: Sequence[str], footer: str) -> Table:
+    table = Table(title=Text(title, "bold"), caption=Text(footer), box=box.SIMPLE_HEAD, collapse_padding=True)
+    table.title_justify = table.caption_justify = "left"
+    for k, name in enumerate(header):
+        table.add_column(Text(name), justify="left" if k == 0 else "right")
+    return table

@@ -1,0 +1,197 @@
+"""The discovery page and its summary: all inside, all escaped, the numbers of discovery.json, and no gap stops them."""
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+from test_discovery_figures import ARM, SAD, TANK, bare_discovery
+from test_report_page import Reader
+
+from pgrssnn_jax.reports import discovery_summary as summary
+from pgrssnn_jax.reports.discovery_page import discovery_page
+from pgrssnn_jax.reports.discovery_write import write_discovery_report
+from pgrssnn_jax.runs import RunFolder
+
+EVIL = "<script>alert(1)</script>\"'&"
+ENVIRONMENT = {"commit": "0123abcd", "command": "python discover.py", "packages": {"jax": "0.10.2"}}
+
+
+def write(folder: Path, run, config: str = "seed: 0\n") -> str:
+    place = RunFolder(folder)
+    place.write_json("discovery.json", run[0])
+    place.write_arrays("discovery.npz", run[1])
+    place.write_text("config.yaml", config)
+    place.write_json("environment.json", ENVIRONMENT)
+    write_discovery_report(place)
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def page(discovery, **changes) -> str:
+    return discovery_page(discovery, {}, **{"config_text": "", "environment": {}, **changes})
+
+
+def printed(discovery, width: int = 80) -> str:
+    paper = io.StringIO()
+    Console(file=paper, width=width, color_system=None).print(summary.discovery_summary(discovery))
+    return paper.getvalue()
+
+
+@pytest.mark.parametrize("run", [TANK, ARM], ids=["tank", "arm"])
+def test_the_page_holds_everything_itself(tmp_path, run):
+    text = write(tmp_path, run)
+    reader = Reader(text)
+    assert len(reader.loads) == 5
+    assert all(source.startswith("data:image/png;base64,") for source in reader.loads)
+    assert all(anchor.startswith("#") and anchor[1:] in reader.ids for anchor in reader.anchors)
+    assert len(reader.ids) == len(set(reader.ids))
+    assert not reader.tags & {"script", "link", "iframe", "object"}
+    for outside in ("http://", "https://", "url(", "@import", str(tmp_path)):
+        assert outside not in text
+    assert sorted(p.name for p in (tmp_path / "figures").iterdir()) == sorted(
+        f"{name}.png" for name in ("simulation", "disagreement", "map", "candidates", "shifts")
+    )
+    assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("name", SAD)
+def test_gaps_in_the_data_do_not_stop_the_page(tmp_path, name):
+    text = Reader(write(tmp_path, SAD[name])).text
+    assert "nan" not in text.lower()
+    assert "None" not in text
+
+
+def poisoned(tree):
+    """The same tree with every text replaced; the texts that choose between paths stay."""
+    if isinstance(tree, dict):
+        kept = ("source", "verdict", "metric")
+        return {name: value if name in kept else poisoned(value) for name, value in tree.items()}
+    if isinstance(tree, list):
+        return [poisoned(value) for value in tree]
+    return EVIL if isinstance(tree, str) else tree
+
+
+def test_everything_given_is_escaped():
+    listed = {"alternatives": [{"name": "a", "gain": 0.5, "experiment": "b"}], "formula": "c"}
+    listed |= {"spectrum": {"period_s": 3.0, "amplitude": 0.2, "unit": "V"}}
+    found = poisoned(TANK[0] | listed)
+    found["parameters"] = {EVIL: found["parameters"]["k1"]}
+    found["seconds"] = {EVIL: 1.0}
+    found["effects"][0]["parameters"] = {EVIL: {"value": [1.0], "std": [0.1], "unit": EVIL, "symbol": EVIL}}
+    found["disagreement"].append({"equation": EVIL, "region": {EVIL: [0.0, 1.0]}})
+    reader = Reader(page(found, config_text=EVIL, environment={"commit": EVIL, "command": EVIL}))
+    assert "script" not in reader.tags
+    assert reader.text.count(EVIL) > 30
+
+
+def test_the_numbers_carry_their_exact_values(tmp_path):
+    found, _ = TANK
+    reader = Reader(write(tmp_path, TANK))
+    exact = {value for value, _ in reader.numbers}
+    effect, gap = found["effects"][0], found["gap"]
+    expected = {gap[s][p] for s in ("before", "recalibrated", "after") for p in ("train", "test")}
+    expected |= {v for interval in gap["test_interval"].values() for v in interval} | {gap["floor"]}
+    expected |= {effect[n] for n in ("gain_test", "gain_train", "p_value")} | {effect["runner_up"]["gain"]}
+    expected |= {p[n] for p in effect["parameters"].values() for n in ("value", "std") if p[n] is not None}
+    expected |= {row["gain"] for row in found["ranking"]} | {row["p_value"] for row in found["ranking"]}
+    expected |= {row[n] for row in found["recalibration"].values() for n in ("before", "after", "std")}
+    expected |= {row[n] for row in found["parameters"].values() for n in ("value", "std")}
+    expected |= {found["disagreement"][0][n] for n in ("share_of_error", "share_of_samples")}
+    expected |= {found["network"][f"{n}_{s}"] for n in ("share", "rmse") for s in ("before", "after")}
+    expected |= {found["seconds"]["total"]}
+    assert expected <= exact
+    shifts = {row.size for row in summary.shifts(found)}
+    assert exact - expected <= shifts | {gap["closed_fraction"]}
+    for value, shown in reader.numbers:
+        if shown.endswith("%"):
+            assert float(shown[:-1]) == pytest.approx(100 * value, abs=0.051)
+        else:
+            assert float(shown.removesuffix(" s")) == pytest.approx(value, rel=0.06)
+
+
+@pytest.mark.parametrize("verdict", summary.VERDICTS)
+def test_every_verdict_has_its_heading(verdict):
+    text = Reader(page(bare_discovery() | {"verdict": verdict})).text
+    assert summary.VERDICTS[verdict] in text
+    assert "Nothing is missing." in text
+    assert summary.VERDICTS[verdict].upper() in printed(bare_discovery() | {"verdict": verdict})
+
+
+def test_several_findings_are_counted_and_each_has_its_card():
+    found = TANK[0] | {"effects": [TANK[0]["effects"][0], ARM[0]["effects"][0]]}
+    html = page(found)
+    assert html.count('<article class="finding">') == 2
+    text = Reader(html).text
+    assert "2 missing effects were found" in text
+    for effect in found["effects"]:
+        for name in ("name", "title", "equation", "cause", "region", "command"):
+            assert effect[name] in text
+
+
+def test_numbers_by_joint_name_their_joint():
+    rows = summary.quantities(ARM[0]["effects"][0])
+    assert [(row.name, row.value, row.std) for row in rows] == [
+        ("c, joint 2", 812.4, 14.2),
+        ("c, joint 3", 655.1, 19.9),
+    ]
+    gain = {"parameters": {"g": {"value": [1.0, 2.0], "std": None, "symbol": "g"}}, "channels": "output"}
+    assert [row.name for row in summary.quantities(gain)] == ["g, output 1", "g, output 2"]
+
+
+def test_what_could_not_be_told_is_told():
+    told = {"alternatives": [{"name": "leak_tank1", "gain": 0.4, "experiment": "a step with the pump off"}]}
+    told |= {"formula": "-0.02 max(x1 - 7.5, 0)", "spectrum": {"period_s": 12.5, "amplitude": 0.2, "unit": "V"}}
+    for text in (Reader(page(TANK[0] | told)).text, printed(TANK[0] | told, 120)):
+        for words in ("leak_tank1", "a step with the pump off", "-0.02 max(x1 - 7.5, 0)", "never runs below 0.8 V"):
+            assert words in text
+    assert "period of 12.5 s" in Reader(page(TANK[0] | told)).text
+
+
+def test_simulated_data_are_loud():
+    assert "SIMULATED DATA." in Reader(page(ARM[0])).text
+    assert "SIMULATED DATA" in printed(ARM[0])
+    assert "SIMULATED" not in Reader(page(TANK[0])).text
+
+
+def test_numbers_that_began_at_zero_stand_in_the_table_and_the_largest_shift_comes_first():
+    rows = summary.shifts(TANK[0])
+    assert [row.name for row in rows] == ["k2", "k1", "k3", "k4", "k5"]
+    assert rows[0].size == pytest.approx(0.00011 / 0.0003)
+    lists = {"p": {"before": [1.0, 2.0], "after": [1.5, 2.0], "std": [0.1, 0.1], "unit": "m"}}
+    rows = summary.shifts({"recalibration": lists, "parameters": {"new": {"value": 3.0, "std": 0.1, "unit": ""}}})
+    assert [row.name for row in rows] == ["p[1]", "p[2]", "new"]
+
+
+def test_a_long_table_is_folded_but_all_there():
+    html = page(ARM[0])
+    assert "All 30 rows" in html
+    assert all(name in html for name in ARM[0]["parameters"])
+
+
+def test_reproducing_names_the_commit_and_the_configuration(tmp_path):
+    text = Reader(write(tmp_path, TANK, config="seed: 7\n")).text
+    assert "git checkout 0123abcd" in text
+    assert "python discover.py" in text
+    assert "seed: 7" in text
+    assert '"jax": "0.10.2"' in text
+
+
+@pytest.mark.parametrize("discovery", [TANK[0], ARM[0], bare_discovery()], ids=["tank", "arm", "bare"])
+def test_the_summary_fits_eighty_columns_and_says_the_verdict_and_the_gap(discovery):
+    said = printed(discovery)
+    assert "…" not in said
+    assert "nan" not in said.lower()
+    assert "None" not in said
+    assert summary.heading(discovery).upper() in said
+    for stage in ("before", "recalibrated", "after"):
+        error = discovery["gap"][stage]["test"]
+        assert (f"{error:#.4g}" if error else "–") in said
+    for effect in discovery["effects"]:
+        assert effect["name"] in said
+
+
+def test_square_brackets_are_no_markup():
+    found = json.loads(json.dumps(TANK[0]))
+    found["sentence"] = found["effects"][0]["cause"] = found["untestable"][0]["reason"] = "[red]x[/red] [/]"
+    assert printed(found, 120).count("[red]x[/red] [/]") == 3
