@@ -66,7 +66,7 @@ def flexible_effects(physics: Physics) -> tuple[Effect, ...]:
 def hats(value: jax.Array, low: jax.Array, high: jax.Array, c: Float[jax.Array, " knots"]) -> jax.Array:
     """Σ c_j φ_j(value): linear between the knots, constant beyond the first and the last."""
     place = jnp.clip((value - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
-    return jnp.maximum(1.0 - jnp.abs(place - jnp.arange(KNOTS, dtype=c.dtype)), 0.0) @ c
+    return (jnp.maximum(1.0 - jnp.abs(place - jnp.arange(KNOTS, dtype=c.dtype)), 0.0) * c).sum()
 
 
 def _family(physics: Physics, name: str, where: Where) -> Effect:
@@ -114,7 +114,7 @@ def _history(physics: Physics, name: str, channel: int) -> Effect:
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         own = u[channel]
         kept = jnp.concatenate([own[None], past])[:_HISTORY]
-        return u.at[channel].add(p["c"] @ (past - own)), kept
+        return u.at[channel].add((p["c"] * (past - own)).sum()), kept
 
     return Effect(
         name,

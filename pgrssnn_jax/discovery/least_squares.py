@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.problem import Code, Problem, Signals
 from pgrssnn_jax.members import over_devices
 from pgrssnn_jax.records import Array
 
@@ -50,21 +50,33 @@ class Fitted(NamedTuple):
 def fit(problem: Problem, signals: Signals, lanes: Lanes, *, steps: int, devices: int = 1) -> Fitted:
     """At most `steps` steps per lane; a lane rests when its cost no longer falls. Double precision."""
     lanes = Lanes(*map(np.asarray, lanes))
-    return Fitted(*map(np.asarray, _fit(problem, devices, jnp.asarray(steps), lanes, signals)))
+    return Fitted(*map(np.asarray, _fit(problem.code, devices, _limits(problem), jnp.asarray(steps), lanes, signals)))
 
 
 def sensitivity(problem: Problem, signals: Signals, lanes: Lanes) -> tuple[np.ndarray, np.ndarray]:
     """y `[lane, seq, time, y]`, and its derivatives by the free numbers and x_0, `[lane, seq, time, y, k + s]`;
     s: unknowns of the start."""
-    y, dy = _sensitivity(problem, Lanes(*map(np.asarray, lanes)), signals)
+    y, dy = _sensitivity(problem.code, Lanes(*map(np.asarray, lanes)), signals)
     return np.asarray(y), np.asarray(dy)
 
 
 def simulate(problem: Problem, u: Array, theta: Array, x0: Array) -> tuple[np.ndarray, np.ndarray]:
     """Free runs: y `[lane, seq, time, y]` and x `[lane, seq, time, x]` (state after u_t) for θ `[lane, p]` and x_0
     `[lane, seq, x]`; u `[seq, time, u]`."""
-    y, x = _simulate(problem, jnp.asarray(u), jnp.asarray(theta), jnp.asarray(x0))
+    y, x = _simulate(problem.code, jnp.asarray(u), jnp.asarray(theta), jnp.asarray(x0))
     return np.asarray(y), np.asarray(x)
+
+
+class Limits(NamedTuple):
+    """Bounds of θ, and the size of a relative change of it, each `[p]`."""
+
+    low: Float[Array, " p"]
+    high: Float[Array, " p"]
+    size: Float[Array, " p"]
+
+
+def _limits(problem: Problem) -> Limits:
+    return Limits(problem.low, problem.high, problem.size)
 
 
 class _Batched(NamedTuple):
@@ -74,20 +86,20 @@ class _Batched(NamedTuple):
     measure: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 
 
-def _batched(problem: Problem) -> _Batched:
+def _batched(code: Code) -> _Batched:
     def over(function: Callable[..., jax.Array]) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
         def one(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
-            return function(problem.unravel(theta), x, u)
+            return function(code.unravel(theta), x, u)
 
         by_lane = jax.vmap(one, (-1, -1, None), -1)
         return jax.vmap(by_lane, (None, 1, 1), 1)
 
-    return _Batched(over(problem.full.step), over(problem.full.measure))
+    return _Batched(over(code.full.step), over(code.full.measure))
 
 
-def _free_run(problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _free_run(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
     """y `[time, y, seq, lane]` and x `[time, x, seq, lane]` from u `[time, u, seq]`."""
-    batched, after = _batched(problem), problem.full.reads == "after_step"
+    batched, after = _batched(code), code.full.reads == "after_step"
 
     def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         new = batched.step(theta, x, u_t)
@@ -97,12 +109,12 @@ def _free_run(problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array) -
 
 
 def _with_derivatives(
-    problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array, free: jax.Array
+    code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array, free: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """y `[time, y, seq, lane]` and dy `[time, y, seq, lane, k + s]`; free `[lane, k]`; s: unknowns of the start."""
-    batched, after = _batched(problem), problem.full.reads == "after_step"
+    batched, after = _batched(code), code.full.reads == "after_step"
     n_x, seq, lanes = x0.shape
-    k, by_start = free.shape[1], _by_start(problem)
+    k, by_start = free.shape[1], _by_start(code)
     by_theta = jnp.where(free.T[None] == jnp.arange(len(theta))[:, None, None], 1.0, 0.0)  # [p, k, lane]
     by_theta = jnp.swapaxes(by_theta, 1, 2)
     by_theta = jnp.concatenate([by_theta, jnp.zeros((len(theta), lanes, by_start.shape[1]))], -1)
@@ -120,9 +132,9 @@ def _with_derivatives(
     return jax.lax.scan(body, (x0, dx0), u)[1]
 
 
-def _by_start(problem: Problem) -> np.ndarray:
+def _by_start(code: Code) -> np.ndarray:
     """Which state `[x]` each unknown of the start `[s]` is, as a matrix of zeros and ones."""
-    return np.eye(len(problem.free_start))[:, problem.free_start]
+    return np.eye(len(code.free_start))[:, code.free_start]
 
 
 def _time_first(a: Array) -> jax.Array:
@@ -135,14 +147,14 @@ def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 
 @partial(jax.jit, static_argnums=0)
-def _simulate(problem: Problem, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
-    y, x = _free_run(problem, _time_first(u), theta.T, jnp.transpose(x0, (2, 1, 0)))
+def _simulate(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
+    y, x = _free_run(code, _time_first(u), theta.T, jnp.transpose(x0, (2, 1, 0)))
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(x, (3, 2, 0, 1))
 
 
 @partial(jax.jit, static_argnums=0)
-def _sensitivity(problem: Problem, lanes: Lanes, signals: Signals) -> tuple[jax.Array, jax.Array]:
-    y, dy = _with_derivatives(problem, _time_first(signals.u), *_lanes_last(lanes))
+def _sensitivity(code: Code, lanes: Lanes, signals: Signals) -> tuple[jax.Array, jax.Array]:
+    y, dy = _with_derivatives(code, _time_first(signals.u), *_lanes_last(lanes))
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(dy, (3, 2, 0, 1, 4))
 
 
@@ -158,19 +170,21 @@ class _State(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _fit(problem: Problem, devices: int, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
+def _fit(
+    code: Code, devices: int, limits: Limits, steps: jax.Array, lanes: Lanes, signals: Signals
+) -> tuple[jax.Array, ...]:
     def on_one_device(lanes: Lanes) -> tuple[jax.Array, ...]:
-        return _fit_lanes(problem, steps, lanes, signals)
+        return _fit_lanes(code, limits, steps, lanes, signals)
 
     return over_devices(on_one_device, devices)(lanes)
 
 
-def _fit_lanes(problem: Problem, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
+def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
     u, y, w = (_time_first(a) for a in signals[:3])
     theta0, x0, free = _lanes_last(lanes)
     counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)  # [seq, time, lane]
     weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
-    low, high, size = (jnp.asarray(a)[:, None] for a in (problem.low, problem.high, problem.size))
+    low, high, size = (jnp.asarray(a)[:, None] for a in limits)
     anchor, anchor_x = theta0, x0
     n = weight.shape[0] * weight.shape[1] * weight.shape[2]
     prior = _PRIOR * n / size**2  # [p, 1]
@@ -178,7 +192,7 @@ def _fit_lanes(problem: Problem, steps: jax.Array, lanes: Lanes, signals: Signal
     place = jnp.where(used, free, 0).T  # [k, lane]
 
     def cost_of(theta: jax.Array, x0: jax.Array) -> jax.Array:
-        found, _ = _free_run(problem, u, theta, x0)
+        found, _ = _free_run(code, u, theta, x0)
         error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
         # unused places hold infinite neutral values, which an anchor difference would turn into NaN
         moved = jnp.where(theta == anchor, 0.0, theta - anchor)
@@ -186,7 +200,7 @@ def _fit_lanes(problem: Problem, steps: jax.Array, lanes: Lanes, signals: Signal
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
     def step(state: _State) -> _State:
-        found, dy = _with_derivatives(problem, u, state.theta, state.x0, free)
+        found, dy = _with_derivatives(code, u, state.theta, state.x0, free)
         error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
         columns = jnp.where(weight[..., None] > 0, weight[..., None] * dy, 0.0)
         columns = jnp.where(jnp.isfinite(columns), columns, 0.0)
@@ -230,7 +244,7 @@ def _fit_lanes(problem: Problem, steps: jax.Array, lanes: Lanes, signals: Signal
         theta = jax.vmap(lambda new: state.theta.T.at[lane, jnp.where(used, free, len(low))].set(new, mode="drop").T)(
             moved
         )
-        by_start = _by_start(problem)
+        by_start = _by_start(code)
         delta_x = delta_x.reshape(len(_DAMPINGS), free.shape[0], x0.shape[1], by_start.shape[1])
         return theta, state.x0 + jnp.einsum("xs,dlqs->dxql", by_start, delta_x)
 
@@ -251,7 +265,7 @@ def _fit_lanes(problem: Problem, steps: jax.Array, lanes: Lanes, signals: Signal
             jnp.eye(local.shape[-1]) > 0, damping[None, :, None, None] * local + _PRIOR * n + 1e-30, 0.0
         )
         cross = normal[..., :k, k:] * mask[None, :, :, None]
-        pull_x = pull[..., k:] + _PRIOR * n * jnp.einsum("xs,xql->qls", _by_start(problem), anchor_x - state.x0)
+        pull_x = pull[..., k:] + _PRIOR * n * jnp.einsum("xs,xql->qls", _by_start(code), anchor_x - state.x0)
         solved = jnp.linalg.solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
         whole = normal[..., :k, :k].sum(0) * mask[:, :, None] * mask[:, None, :]
         diagonal = jnp.diagonal(whole, axis1=-2, axis2=-1)

@@ -6,7 +6,7 @@ so that one compiled program fits any choice of effects: a fit is told which num
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -19,6 +19,7 @@ from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.records import Record
 
+_MATRIX_REACH = 0.5  # of a matrix's largest entry
 ALWAYS = -2  # fold of samples that are never left out
 
 
@@ -32,20 +33,40 @@ class Slot(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Code:
+    """What a compiled program depends on beside its arrays: the physics with every effect of the catalogue, θ as the
+    tree of its params, and which states' initial values are unknown."""
+
+    full: Physics
+    unravel: Callable[[jax.Array], Any]
+    free_start: Bool[np.ndarray, " x"]
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """What does not change during a discovery. full: the physics with every effect of the catalogue; slots: one per
-    number of θ; unravel: θ as the tree of params; free_start: which states' initial values are unknown."""
+    """What does not change during a discovery. slots: one per number of θ; theta: the physics as given, effects
+    neutral; size: of a relative change; code: shared by problems that differ in numbers alone (`with_numbers`)."""
 
     physics: Physics
-    full: Physics
+    code: Code
     effects: tuple[Effect, ...]
     slots: tuple[Slot, ...]
-    unravel: Callable[[jax.Array], Any]
     theta: Float[np.ndarray, " p"]
     low: Float[np.ndarray, " p"]
     high: Float[np.ndarray, " p"]
     size: Float[np.ndarray, " p"]
-    free_start: Bool[np.ndarray, " x"]
+
+    @property
+    def full(self) -> Physics:
+        return self.code.full
+
+    def with_numbers(self, params: Any) -> "Problem":
+        """The same problem for other numbers of the same physics; compiled programs serve both."""
+        physics = self.physics._replace(params=params)
+        whole = _double({**self.full.params, **params})
+        theta = np.asarray(ravel_pytree(whole)[0], np.float64)
+        low, high = _bounds(whole, self.slots)
+        return replace(self, physics=physics, theta=theta, low=low, high=high, size=_size(theta))
 
     def of(self, effect: str | None) -> Int[np.ndarray, " k"]:
         """Positions in θ of the numbers of an effect that a fit may move; None: of the physics itself."""
@@ -63,7 +84,7 @@ class Problem:
 
     def params(self, theta: np.ndarray) -> Any:
         """θ as params of `full`, in NumPy."""
-        return jax.tree.map(np.asarray, self.unravel(jnp.asarray(theta)))
+        return jax.tree.map(np.asarray, self.code.unravel(jnp.asarray(theta)))
 
 
 class Signals(NamedTuple):
@@ -82,7 +103,7 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, known_start: b
     """known_start: x_0 is not to be estimated."""
     full = add(physics, *effects)
     names = {effect.name for effect in effects}
-    params = jax.tree.map(lambda p: np.asarray(p, np.float64), full.params)
+    params = _double(full.params)
     theta, unravel = ravel_pytree(params)
     slots: list[Slot] = []
     meanings = jax.tree.leaves(full.parameters, is_leaf=is_parameter)
@@ -91,13 +112,33 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, known_start: b
         for index in np.ndindex(np.shape(value)):
             label = ".".join(keys) + "".join(f"[{i + 1}]" for i in index)
             slots.append(Slot(keys, label, meaning, keys[0] if keys[0] in names else None))
-    low, high = (np.array([slot.meaning.bounds[k] for slot in slots]) for k in (0, 1))
+    low, high = _bounds(params, tuple(slots))
     own = len(physics.states)
     free = np.zeros(len(full.states), bool)
     free[:own] = not known_start
     theta = np.asarray(theta, np.float64)
-    size = np.where(np.isfinite(theta) & (theta != 0.0), np.abs(theta), 1.0)
-    return Problem(physics, full, tuple(effects), tuple(slots), unravel, theta, low, high, size, free)
+    return Problem(physics, Code(full, unravel, free), tuple(effects), tuple(slots), theta, low, high, _size(theta))
+
+
+def _bounds(params: Any, slots: tuple[Slot, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of θ. Entries of a matrix without bounds stay near what was given, or the fit of a linear model would turn
+    a mode that the system does not have into whatever is missing (a pole at 1 is a constant)."""
+    low, high = (np.array([slot.meaning.bounds[k] for slot in slots]) for k in (0, 1))
+    given, _ = ravel_pytree(params)
+    largest, _ = ravel_pytree(
+        jax.tree.map(lambda p: np.full(p.shape, np.abs(p).max() if p.ndim > 1 else np.inf), params)
+    )
+    near = np.isinf(low) & np.isinf(high) & np.array([slot.effect is None for slot in slots])
+    reach = np.where(near & np.isfinite(largest), _MATRIX_REACH * np.asarray(largest), np.inf)
+    return np.where(np.isfinite(reach), given - reach, low), np.where(np.isfinite(reach), given + reach, high)
+
+
+def _double(params: Any) -> Any:
+    return jax.tree.map(lambda p: np.asarray(p, np.float64), params)
+
+
+def _size(theta: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(theta) & (theta != 0.0), np.abs(theta), 1.0)
 
 
 def signals(problem: Problem, record: Record, *, folds: int, block: int) -> Signals:

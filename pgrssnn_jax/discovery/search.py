@@ -157,6 +157,9 @@ def look_at(
         for numbers in effect.starts(reach):
             theta = problem.put(base.theta, effect.name, numbers)
             guesses.append(Guess((*base.active, effect.name), theta, base.x0))
+    if 2 * len(guesses) <= settings.lanes:  # the same from the physics as given: the refit may have gone astray
+        own = problem.of(None)
+        guesses += [g._replace(theta=_with(g.theta, own, problem.theta[own])) for g in guesses]
     fitted = fit_all(problem, signals, guesses, settings)
     best: dict[str, tuple[Guess, float]] = {}
     for guess, cost in fitted:
@@ -244,6 +247,12 @@ def _exchange(judge: _Judge, current: Guess) -> Guess:
         elif best.name != name:
             current = best.guess
     return current
+
+
+def _with(theta: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+    theta = theta.copy()
+    theta[places] = values
+    return theta
 
 
 def _without(problem: Problem, guess: Guess, name: str) -> Guess:

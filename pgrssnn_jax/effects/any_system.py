@@ -220,7 +220,7 @@ def input_delay(physics: Physics) -> Effect:
         samples = kept.reshape(LONGEST_DELAY + 1, n)
         lags = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)
         weights = jnp.maximum(1.0 - jnp.abs(lags - p["delay"] / dt), 0.0)
-        return weights @ samples, kept[: LONGEST_DELAY * n]
+        return (weights[:, None] * samples).sum(0), kept[: LONGEST_DELAY * n]
 
     return Effect(
         "input_delay",

@@ -12,6 +12,7 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, after_step
 from pgrssnn_jax.physics.base import Parameter, Physics
+from pgrssnn_jax.physics.lgssm import times
 
 
 def lgssm_effects(physics: Physics) -> tuple[Effect, ...]:
@@ -23,7 +24,7 @@ def feedthrough(physics: Physics) -> Effect:
 
     def wrap(inner: Physics) -> Physics:
         def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-            return inner.measure(p, x, u) + p[name]["D"] @ u
+            return inner.measure(p, x, u) + times(p[name]["D"], u)
 
         return inner._replace(measure=measure)
 

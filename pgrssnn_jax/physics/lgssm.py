@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -17,11 +18,17 @@ from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
 
 
 def step(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
-    return p["A"] @ x + p["B"] @ u
+    return times(p["A"], x) + times(p["B"], u)
 
 
 def measure(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " y"]:
-    return p["C"] @ x
+    return times(p["C"], x)
+
+
+def times(matrix: Float[jax.Array, "rows columns"], vector: Float[jax.Array, " columns"]) -> Float[jax.Array, " rows"]:
+    """Matrix times vector as a sum of products: over a batch the small matrices of a model stay one vector loop, where
+    a matrix product would become as many small ones."""
+    return (jnp.asarray(matrix) * vector[None]).sum(-1)
 
 
 def _matrix(name: str, rows: Any) -> Float[np.ndarray, "rows columns"]:

@@ -1,0 +1,146 @@
+"""Does discovery name what is hidden? python benchmarks/discovery.py [--cases 100] [--systems tanks lgssm pendulum]
+[--kinds single double none removed] [--seed 0] [--json FILE] [--sindy].
+
+Seeded cases from independent simulators (`hidden/`), each with random parameters and noise; discovery is given the
+record and the nominal physics, nothing else. Prints a line per case, a table per kind, the confusions and the seconds.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from hidden import compare, pendulum, suite
+from hidden.case import Case
+from hidden.suite import KINDS, Plan
+from rich.console import Console
+from rich.table import Table
+
+from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.setup import DiscoverySettings
+from pgrssnn_jax.discovery.unknown import flexible_problem
+from pgrssnn_jax.discovery.workflow import Discovery, discover_in
+from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.physics.arm.arm import arm
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+from pgrssnn_jax.settings import call_with
+
+_SETTINGS = {
+    "replace": {}, "starts": 4, "folds": 5, "block": 32, "n_init": 50, "steps": 30, "p_value": 0.01, "share": 0.01,
+    "most": 4, "draws": 400, "seed": 0, "network_epochs": 0,
+}  # fmt: skip
+
+
+def main() -> None:
+    arguments = _arguments()
+    jax.config.update("jax_num_cpu_devices", arguments.devices)
+    console = Console(width=160)
+    rows = []
+    for system in arguments.systems:
+        problems: list[tuple[Problem, Problem]] = []
+        plans = suite.plans(system, arguments.cases, arguments.seed, arguments.kinds)
+        for plan in plans:
+            rows.append(_one(plan, problems, sindy=arguments.sindy))
+            console.print(_line(rows[-1]), soft_wrap=True, highlight=False)
+            if arguments.json is not None:
+                arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        console.print(_table([row for row in rows if row["system"] == system], system))
+
+
+def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) -> dict[str, Any]:
+    """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
+    case = suite.build(plan)
+    physics = _nominal(case)
+    if not problems:
+        problem = build_problem(physics, catalogue(physics))
+        problems.append((problem, flexible_problem(problem)))
+    problem, flexible = (one.with_numbers(physics.params) for one in problems[0])
+    known = {effect.name for effect in problem.effects}
+    removed = [name for name in plan.removed if name in known]
+    settings = call_with(DiscoverySettings, {**_SETTINGS, "without": removed}, "discovery")
+    started = time.perf_counter()
+    found = discover_in(problem, case.train, case.test, settings, lambda line: None, shared=False, flexible=flexible)
+    seconds = time.perf_counter() - started
+    names = list(found.found.final.estimate.active)
+    return {
+        **plan._asdict(),
+        "verdict": str(found.judged.verdict),
+        "names": sorted(names, key=lambda name: -found.found.stages[name].base.cost),
+        "right": _right(case, plan.kind, names, str(found.judged.verdict)),
+        "closed": _closed(found, case),
+        "seconds": seconds,
+        "steps": found.seconds,
+        **({"sindy": compare.sindy_name(case)} if sindy else {}),
+    }
+
+
+def _nominal(case: Case) -> Physics:
+    """The physics that discovery is given: the nominal one, integrated finely enough not to be in the way."""
+    if case.system == "tanks":
+        return cascaded_tanks(**case.physics, integrator="rk4")
+    if case.system == "lgssm":
+        return linear(**case.physics)
+    if case.system == "pendulum":
+        return pendulum.pendulum(**case.physics)
+    return arm(**{"sub_steps": 5, **case.physics})
+
+
+def _right(case: Case, kind: str, names: Sequence[str], verdict: str) -> bool:
+    if kind == "removed":
+        return verdict == "unknown_effect"
+    if kind == "none":
+        return not names and verdict in ("no_discrepancy", "miscalibrated")
+    matched = [any(name in accepted for name in names) for accepted in case.accepted]
+    return all(matched) and len(names) == len(matched) and verdict in ("effect_found", "ambiguous")
+
+
+def _closed(found: Discovery, case: Case) -> float:
+    """Part of the recalibrated gap on the test record, above the noise, that is gone."""
+    floor = case.floor / (np.std(case.test.y) if found.merit.name == "NRMSE" else 1.0)
+    gap = found.test.recalibrated.error - floor
+    return (found.test.recalibrated.error - found.test.after.error) / gap if gap > 0 else float("nan")
+
+
+def _line(row: dict[str, Any]) -> str:
+    mark = "right" if row["right"] else "WRONG"
+    truth, removed = " + ".join(row["truth"]) or "none", " (removed)" if row["removed"] else ""
+    said = f"{row['verdict']} {' + '.join(row['names'])}".strip()
+    more = f"; sindy {row['sindy']}" if "sindy" in row else ""
+    return (
+        f"{mark} {row['system']} {row['seed']} noise {row['noise']:g}: {truth}{removed} -> {said}; "
+        f"closed {100 * row['closed']:.0f} %, {row['seconds']:.1f} s{more}"
+    )
+
+
+def _table(rows: Sequence[dict[str, Any]], system: str) -> Table:
+    table = Table("kind", "cases", "right", "right name first", "median closed", "median s", title=system)
+    for kind in KINDS:
+        own = [row for row in rows if row["kind"] == kind]
+        if own:
+            first = sum(bool(row["names"]) and row["names"][0] in row["truth"] for row in own)
+            closed = f"{100 * np.nanmedian([row['closed'] for row in own]):.0f} %"
+            seconds = f"{np.median([row['seconds'] for row in own]):.1f}"
+            table.add_row(kind, str(len(own)), str(sum(row["right"] for row in own)), str(first), closed, seconds)
+    return table
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=100, help="per system")
+    parser.add_argument("--systems", nargs="+", default=["tanks", "lgssm", "pendulum"])
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--devices", type=int, default=2)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--sindy", action="store_true", help="the same cases by SINDy on residual derivatives")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
