@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.setup import DiscoverySettings
+from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
 from pgrssnn_jax.effects.catalogue import catalogue
@@ -32,9 +32,13 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.settings import call_with
 
 _SETTINGS = {
-    "replace": {}, "starts": 4, "folds": 5, "block": 32, "n_init": 50, "steps": 30, "p_value": 0.01, "share": 0.01,
+    "replace": {}, "fixed": ["B", "Tc"], "stretches": [], "starts": 4,
+    "folds": 5, "block": 32, "n_init": 50, "steps": 30, "p_value": 0.01, "share": 0.02,
     "most": 4, "draws": 400, "seed": 0, "network_epochs": 0,
 }  # fmt: skip
+
+
+_OF_SYSTEM = {"arm": {"stretches": [25, 60]}}
 
 
 def main() -> None:
@@ -58,14 +62,17 @@ def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) ->
     case = suite.build(plan)
     physics = _nominal(case)
     if not problems:
-        problem = build_problem(physics, catalogue(physics))
+        problem = build_problem(physics, catalogue(physics), fixed=_SETTINGS["fixed"])
         problems.append((problem, flexible_problem(problem)))
     problem, flexible = (one.with_numbers(physics.params) for one in problems[0])
     known = {effect.name for effect in problem.effects}
     removed = [name for name in plan.removed if name in known]
-    settings = call_with(DiscoverySettings, {**_SETTINGS, "without": removed}, "discovery")
+    settings = call_with(
+        DiscoverySettings, {**_SETTINGS, **_OF_SYSTEM.get(case.system, {}), "without": removed}, "discovery"
+    )
     started = time.perf_counter()
-    found = discover_in(problem, case.train, case.test, settings, lambda line: None, shared=False, flexible=flexible)
+    start = Start.AT_REST if case.system == "arm" else Start.UNKNOWN
+    found = discover_in(problem, case.train, case.test, settings, lambda line: None, start=start, flexible=flexible)
     seconds = time.perf_counter() - started
     names = list(found.found.final.estimate.active)
     return {
@@ -88,7 +95,7 @@ def _nominal(case: Case) -> Physics:
         return linear(**case.physics)
     if case.system == "pendulum":
         return pendulum.pendulum(**case.physics)
-    return arm(**{"sub_steps": 5, **case.physics})
+    return arm(**{"sub_steps": 5, "derivatives": "forward", **case.physics})
 
 
 def _right(case: Case, kind: str, names: Sequence[str], verdict: str) -> bool:

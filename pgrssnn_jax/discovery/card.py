@@ -9,7 +9,7 @@ import numpy as np
 from pgrssnn_jax.discovery.locate import box, clear, intervals, signal_map
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.search import Candidate, Stage
-from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
@@ -53,7 +53,7 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
         "states": [{"name": s.name, "unit": s.unit} for s in problem.physics.states],
         "physics": setup.group,
         "numbers": _numbers(found),
-        "initial_state": _initial_state(found) if setup.shared else None,
+        "initial_state": _initial_state(found) if setup.start is Start.SHARED else None,
     }
 
 
@@ -261,7 +261,7 @@ def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
 def disagreement(found: Discovery) -> list[dict[str, Any]]:
     """One entry per state equation whose correction stands out, the likeliest first."""
     physics, correction = found.problem.physics, found.correction
-    values = np.concatenate([found.x[..., : len(physics.states)], found.signals.u], -1)
+    values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)
     values = values.reshape(-1, values.shape[-1])
     said = []
     for i in np.argsort(-correction.likelihood):
@@ -332,7 +332,7 @@ def discovery_arrays(found: Discovery, setup: Setup) -> dict[str, Any]:
     """The arrays of `discovery.npz`: simulations of both records, the correction signal, and its map."""
     physics = found.problem.physics
     arrays: dict[str, Any] = {}
-    for part, record, proofs in (("train", setup.estimation, found.train), ("test", setup.test, found.test)):
+    for part, record, proofs in (("train", found.estimation, found.train), ("test", setup.test, found.test)):
         arrays[f"time_{part}"] = np.arange(record.u.shape[1]) * physics.dt
         arrays |= {f"u_{part}": record.u, f"y_{part}": record.y, f"mask_{part}": record.mask}
         arrays |= {f"y_{name}_{part}": getattr(proofs, name).y for name in proofs._fields}
@@ -350,7 +350,7 @@ def _map_arrays(found: Discovery) -> dict[str, np.ndarray]:
     equation = named[0]["equation"] if named else physics.states[0].name
     a = next(iter(named[0]["region"]), equation) if named else equation
     b = next((s.name for s in physics.inputs if s.name != a), names[0])
-    values = np.concatenate([found.x[..., : len(physics.states)], found.signals.u], -1)
+    values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)
     i = [s.name for s in physics.states].index(equation)
     drawn = signal_map(found.correction.mean[i], values[..., names.index(a)], values[..., names.index(b)], (a, b))
     return {

@@ -25,6 +25,7 @@ from pgrssnn_jax.records import Array
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _TOLERANCE = 1e-6  # relative fall of the cost below which a lane rests
+_TINY = 1e-13  # of a scaled diagonal
 _GIVE_UP = 1e6  # damping at which no step is left
 _PRIOR = 1e-7  # of one squared scaled error per squared relative change: decides only what the data do not
 
@@ -137,6 +138,25 @@ def _by_start(code: Code) -> np.ndarray:
     return np.eye(len(code.free_start))[:, code.free_start]
 
 
+def _solve(a: jax.Array, b: jax.Array) -> jax.Array:
+    """a⁻¹ b for symmetric positive definite a `[..., n, n]` and b `[..., n, m]`, by elimination without pivots.
+
+    A loop of plain products over the whole batch: LAPACK's batched solvers wait for threads of the pool that they run
+    in, and on two cores a scan with two of them in it never came back.
+    """
+    size = jax.lax.rsqrt(jnp.maximum(jnp.diagonal(a, axis1=-2, axis2=-1), 1e-300))
+    scaled = a * size[..., :, None] * size[..., None, :] + _TINY * jnp.eye(a.shape[-1], dtype=a.dtype)
+    both = jnp.concatenate([scaled, size[..., None] * b], -1)
+
+    def eliminate(k: jax.Array, m: jax.Array) -> jax.Array:
+        row = jax.lax.dynamic_index_in_dim(m, k, -2)
+        row = row / jax.lax.dynamic_index_in_dim(row, k, -1)
+        rest = m - jax.lax.dynamic_index_in_dim(m, k, -1) * row
+        return jax.lax.dynamic_update_slice_in_dim(rest, row, k, -2)
+
+    return size[..., None] * jax.lax.fori_loop(0, a.shape[-1], eliminate, both)[..., a.shape[-1] :]
+
+
 def _time_first(a: Array) -> jax.Array:
     """`[seq, time, channel]` as `[time, channel, seq]`."""
     return jnp.transpose(jnp.asarray(a), (1, 2, 0))
@@ -186,8 +206,10 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
     weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
     low, high, size = (jnp.asarray(a)[:, None] for a in limits)
     anchor, anchor_x = theta0, x0
+    guessed = jnp.transpose(jnp.asarray(signals.start), (1, 0))[..., None]  # [x, seq, 1]
     n = weight.shape[0] * weight.shape[1] * weight.shape[2]
     prior = _PRIOR * n / size**2  # [p, 1]
+    precision = jnp.transpose(jnp.asarray(signals.precision), (1, 0))[..., None]  # [x, seq, 1]
     used = free >= 0
     place = jnp.where(used, free, 0).T  # [k, lane]
 
@@ -196,7 +218,11 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
         # unused places hold infinite neutral values, which an anchor difference would turn into NaN
         moved = jnp.where(theta == anchor, 0.0, theta - anchor)
-        total = (error**2).sum((0, 1, 2)) + (prior * moved**2).sum(0) + _PRIOR * n * ((x0 - anchor_x) ** 2).sum((0, 1))
+        total = (
+            (error**2).sum((0, 1, 2))
+            + (prior * moved**2).sum(0)
+            + (_PRIOR * n * (x0 - anchor_x) ** 2 + precision * (x0 - guessed) ** 2).sum((0, 1))
+        )
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
     def step(state: _State) -> _State:
@@ -261,18 +287,20 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         k = free.shape[1]
         mask = jnp.where(moves, 1.0, 0.0)
         local = normal[..., k:, k:]
-        local = local + jnp.where(
-            jnp.eye(local.shape[-1]) > 0, damping[None, :, None, None] * local + _PRIOR * n + 1e-30, 0.0
-        )
+        by_start = jnp.asarray(_by_start(code))
+        held = _PRIOR * n + (by_start.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
+        local = local + jnp.where(jnp.eye(local.shape[-1]) > 0, damping[None, :, None, None] * local + held, 0.0)
+        back_x = _PRIOR * n * (anchor_x - state.x0) + precision * (guessed - state.x0)
+        back_x = jnp.einsum("xs,xql->qls", by_start, back_x)
         cross = normal[..., :k, k:] * mask[None, :, :, None]
-        pull_x = pull[..., k:] + _PRIOR * n * jnp.einsum("xs,xql->qls", _by_start(code), anchor_x - state.x0)
-        solved = jnp.linalg.solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
+        pull_x = pull[..., k:] + back_x
+        solved = _solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
         whole = normal[..., :k, :k].sum(0) * mask[:, :, None] * mask[:, None, :]
         diagonal = jnp.diagonal(whole, axis1=-2, axis2=-1)
         extra = damping[:, None] * diagonal + jnp.where(moves, own, 1.0) + 1e-30
         whole = whole + extra[:, :, None] * jnp.eye(k) - (cross @ solved[..., :-1]).sum(0)
         right = mask * (pull[..., :k].sum(0) + back) - (cross @ solved[..., -1:])[..., 0].sum(0)
-        delta = jnp.linalg.solve(whole, right[..., None])[..., 0]
+        delta = _solve(whole, right[..., None])[..., 0]
         delta_x = solved[..., -1] - (solved[..., :-1] @ delta[None, :, :, None])[..., 0]
         return jnp.concatenate([delta, jnp.swapaxes(delta_x, 0, 1).reshape(len(delta), -1)], -1)
 

@@ -84,23 +84,26 @@ class Problem:
 
     def params(self, theta: np.ndarray) -> Any:
         """θ as params of `full`, in NumPy."""
-        return jax.tree.map(np.asarray, self.code.unravel(jnp.asarray(theta)))
+        with jax.enable_x64(True):
+            return jax.tree.map(np.asarray, self.code.unravel(jnp.asarray(theta)))
 
 
 class Signals(NamedTuple):
     """The record as arrays: u `[seq, time, u]`, y and weight `[seq, time, y]` (weight 0: not measured), block
     `[seq, time]` the fold that a sample belongs to in cross-validation, ALWAYS where it is never left out; start
-    `[seq, x]`: a first guess of x_0."""
+    `[seq, x]`: a first guess of x_0; precision `[seq, x]`: of that guess, inverse variance for unit variance of the
+    weighted errors."""
 
     u: Float[np.ndarray, "seq time u"]
     y: Float[np.ndarray, "seq time y"]
     weight: Float[np.ndarray, "seq time y"]
     block: Int[np.ndarray, "seq time"]
     start: Float[np.ndarray, "seq x"]
+    precision: Float[np.ndarray, "seq x"]
 
 
-def build_problem(physics: Physics, effects: Sequence[Effect], *, known_start: bool = False) -> Problem:
-    """known_start: x_0 is not to be estimated."""
+def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequence[str] = ()) -> Problem:
+    """fixed: names of parameters of the physics that are taken as given."""
     full = add(physics, *effects)
     names = {effect.name for effect in effects}
     params = _double(full.params)
@@ -109,13 +112,15 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, known_start: b
     meanings = jax.tree.leaves(full.parameters, is_leaf=is_parameter)
     for (path, value), meaning in zip(jax.tree_util.tree_leaves_with_path(params), meanings, strict=True):
         keys = tuple(jax.tree_util.keystr((key,), simple=True) for key in path)
+        if keys[0] in fixed:
+            meaning = meaning._replace(trainable=False)
         for index in np.ndindex(np.shape(value)):
             label = ".".join(keys) + "".join(f"[{i + 1}]" for i in index)
             slots.append(Slot(keys, label, meaning, keys[0] if keys[0] in names else None))
     low, high = _bounds(params, tuple(slots))
     own = len(physics.states)
     free = np.zeros(len(full.states), bool)
-    free[:own] = not known_start
+    free[:own] = True
     theta = np.asarray(theta, np.float64)
     return Problem(physics, Code(full, unravel, free), tuple(effects), tuple(slots), theta, low, high, _size(theta))
 
@@ -155,7 +160,8 @@ def signals(problem: Problem, record: Record, *, folds: int, block: int) -> Sign
     n_seq, time = u.shape[:2]
     order = np.arange(n_seq)[:, None] * (time // block + 1) + np.arange(time)[None] // block
     fold = np.where(np.arange(time) < block, ALWAYS, order % folds)
-    return Signals(u, y, weight, fold, start_guess(problem.full, u, y, mask))
+    start = start_guess(problem.full, u, y, mask)
+    return Signals(u, y, weight, fold, start, np.zeros(start.shape))
 
 
 def carried(

@@ -64,7 +64,7 @@ def fitted_start(
     spread = np.std(np.asarray(record.y), axis=(0, 1))
     weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
     start = start_guess(problem.full, u, y, mask)
-    signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start)
+    signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, np.zeros(start.shape))
     ((fitted, _),) = fit_all(problem, signals, [guess._replace(x0=start)], settings, only_start=True)
     return fitted.x0
 

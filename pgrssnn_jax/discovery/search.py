@@ -30,14 +30,17 @@ class Rules(NamedTuple):
     """When an effect counts.
 
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
-    that it closes; least: least relative fall of the error energy; finalists: candidates that are cross-validated;
+    that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
+    least `rest` of what is left of the gap; finalists: candidates that are cross-validated;
     most: effects that may be found; draws: of the null; open: part of the gap left after which other beginnings are
     tried; beam: how many.
     """
 
     p_value: float = 0.01
-    share: float = 0.01
+    share: float = 0.02
     least: float = 0.02
+    rest: float = 0.5
+    visible: float = 0.1
     finalists: int = 6
     most: int = 4
     draws: int = 400
@@ -93,15 +96,16 @@ def search(
     rng: np.random.Generator,
     notify: Callable[[str], None],
     without: Sequence[str] = (),
+    examine: "Examine | None" = None,
 ) -> Found:
     """From a recalibrated guess without effects to the model that explains the record; effects named in `without` are
-    not looked at."""
+    not looked at. examine: how the catalogue is looked at; None: `look_at`."""
     looked: dict[tuple[str, ...], Stage] = {}
 
     def look(base: Guess) -> Stage:
         key = tuple(sorted(base.active))
         if key not in looked:
-            looked[key] = look_at(problem, signals, base, settings, rules, rng, without)
+            looked[key] = (examine or look_at)(problem, signals, base, settings, rules, rng, without)
             best = looked[key].candidates
             notify(f"beside {', '.join(base.active) or 'the physics'}: " + _named(best[:3]))
         return looked[key]
@@ -117,6 +121,9 @@ def search(
     return Found(first.base, last.base, stages, first, last, min(judge.floor, _floor(signals, [last.base])))
 
 
+Examine = Callable[[Problem, Signals, Guess, Settings, Rules, np.random.Generator, Sequence[str]], Stage]
+
+
 class _Judge(NamedTuple):
     """recalibrated: cross-validated cost without effects; floor: cost of the noise; gap: between their roots."""
 
@@ -125,6 +132,14 @@ class _Judge(NamedTuple):
     recalibrated: float
     floor: float
     rules: Rules
+
+    def matters(self, stage: Stage, candidate: Candidate) -> bool:
+        """It closes its share of the recalibrated gap, or most of what is left of it, visibly."""
+        gained = stage.base.cost**0.5 - candidate.cost**0.5
+        left = max(stage.base.cost**0.5 - self.floor**0.5, 0.0)
+        fall = 1.0 - candidate.cost / stage.base.cost if stage.base.cost > 0 else 0.0
+        clear = gained >= self.rules.share * self.gap and fall >= self.rules.least
+        return clear or (gained >= self.rules.rest * left and fall >= self.rules.visible)
 
     @property
     def gap(self) -> float:
@@ -187,13 +202,7 @@ def look_at(
 def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     """The candidate that enters: of those that matter and beat the null the best in blocks left out, or a simpler one
     that it contains and that is as good."""
-    passing = [
-        c
-        for c in stage.candidates
-        if stage.base.cost**0.5 - c.cost**0.5 >= judge.rules.share * judge.gap
-        and stage.base.cost - c.cost >= judge.rules.least * stage.base.cost
-        and stage.p_value(c) <= judge.rules.p_value
-    ]
+    passing = [c for c in stage.candidates if judge.matters(stage, c) and stage.p_value(c) <= judge.rules.p_value]
     if not passing:
         return None
     best = passing[0]
@@ -206,7 +215,9 @@ def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
 def _other_beginnings(judge: _Judge, first: Stage, current: Guess) -> Guess:
     """The effect that does best alone may be none of two that only do well together: the next best are tried, and
     followed where they make a better pair than the best one does."""
-    pair = min(judge.look(first.candidates[0].guess).candidates[0].cost, judge.look(current).base.cost)
+    pair = judge.look(current).base.cost
+    if first.candidates and first.candidates[0].name in current.active:
+        pair = min(pair, *(c.cost for c in judge.look(first.candidates[0].guess).candidates[:1]))
     for other in [c for c in first.candidates if c.name not in current.active][: judge.rules.beam]:
         best = _chosen(judge, judge.look(other.guess))
         if best is not None and best.cost < pair:

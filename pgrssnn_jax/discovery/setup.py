@@ -1,7 +1,8 @@
 """From the composed configuration to a discovery: all bad input is found here, before a byte is written."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,17 +14,24 @@ from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
 from pgrssnn_jax.records import Record, Splits, join, take
 from pgrssnn_jax.settings import call_with
 
+_ARM_STRETCHES = (25, 60)  # samples: the first to find effects, the second to fit their numbers
 _LEAST_BLOCKS = 4  # per fold
 
 
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """replace: settings of the physics that discovery chooses itself, where the physics has them; without: effects that
-    the catalogue is to do without; starts: of the recalibration; folds, block: cross-validation in `folds` folds of
-    blocks of `block` samples; n_init: first samples of the test record from which its start is fitted where it shares
-    none; network_epochs: of the PG-RSSNN that is trained on the old and the new physics, 0 for none."""
+    """What `conf/discovery/standard.yaml` says, checked.
+
+    replace: settings of the physics that discovery chooses itself, where the physics has them; fixed: parameters that
+    are taken as given; stretches: lengths in samples, one after the other, empty: whole records; without: effects that
+    the catalogue is to do without; starts: of the recalibration; folds, block: of the cross-validation; n_init: first
+    samples of the test record from which its start is fitted where it is not known; network_epochs: of the PG-RSSNN
+    that is trained on the old and the new physics, 0 for none.
+    """
 
     replace: Mapping[str, Any]
+    fixed: list
+    stretches: Any
     without: list
     starts: int
     folds: int
@@ -51,16 +59,24 @@ class DiscoverySettings:
         return Rules(p_value=self.p_value, share=self.share, most=self.most, draws=self.draws)
 
 
+class Start(Enum):
+    """What is known of the start of the test record."""
+
+    UNKNOWN = "fitted to its first samples"
+    SHARED = "that of the estimation record"
+    AT_REST = "zero"
+
+
 class Setup(NamedTuple):
-    """group: the settings of the physics that was used; estimation: everything that is not test; shared: the test
-    record starts where the estimation record does."""
+    """group: the settings of the physics that was used; estimation: everything that is not test; start: of
+    the test record."""
 
     config: dict[str, Any]
     group: dict[str, Any]
     physics: Physics
     estimation: Record
     test: Record
-    shared: bool
+    start: Start
     settings: DiscoverySettings
 
 
@@ -81,11 +97,22 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     one = Splits(*(take(record, 0) for record in splits))
     estimation = join(one.train, one.validation)
     shared = conventions(config["data"]).shared_initial_state
-    _check(physics, estimation, one.test, settings, shared=shared)
-    return Setup(dict(config), group, physics, estimation, one.test, shared, settings)
+    settings = replace(settings, stretches=_stretches(settings.stretches, physics))
+    start = Start.SHARED if shared else Start.AT_REST if config["initial_state"] == "zero" else Start.UNKNOWN
+    _check(physics, estimation, one.test, settings, start)
+    return Setup(dict(config), group, physics, estimation, one.test, start, settings)
 
 
-def _check(physics: Physics, estimation: Record, test: Record, settings: DiscoverySettings, *, shared: bool) -> None:
+def _stretches(wanted: list | str, physics: Physics) -> list[int]:
+    """auto: an arm's free run over a whole record has no usable gradient, other systems' has."""
+    if wanted == "auto":
+        return list(_ARM_STRETCHES) if physics.name == "arm" else []
+    if not isinstance(wanted, list) or not all(type(n) is int and n >= 2 for n in wanted):
+        raise ValueError(f"discovery.stretches: expected auto or a list of lengths in samples, found {wanted!r}")
+    return wanted
+
+
+def _check(physics: Physics, estimation: Record, test: Record, settings: DiscoverySettings, start: Start) -> None:
     for name, record in (("train", estimation), ("test", test)):
         for kind, channels in (("u", physics.inputs), ("y", physics.outputs)):
             values, mask = np.asarray(getattr(record, kind)), np.asarray(record.mask)
@@ -96,13 +123,13 @@ def _check(physics: Physics, estimation: Record, test: Record, settings: Discove
                     found = f"{counted.flat[0]:g} {signal.unit}".rstrip() if counted.size else "no measured sample"
                     raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
     samples, least = estimation.u.shape[1], _LEAST_BLOCKS * settings.folds * settings.block // len(estimation.u)
-    if samples < max(least, settings.block):
+    if not settings.stretches and samples < max(least, settings.block):
         raise ValueError(
             f"data: train: expected at least {max(least, settings.block)} samples for discovery.folds={settings.folds} "
             f"of blocks of {settings.block}, found {samples}"
         )
     time = test.u.shape[1]
-    if not shared and time <= settings.n_init:
+    if start is Start.UNKNOWN and time <= settings.n_init:
         raise ValueError(
             f"discovery.n_init: expected fewer than the {time} samples of the test record, found {settings.n_init}"
         )

@@ -23,7 +23,9 @@ _SIMILAR = 0.05  # part of an effect's own gain by which another may fall short 
 _CHANCE = 0.1  # probability that the other is the better one, above which the data do not decide
 _SHIFTED = 1.05  # ratio of the errors as given and refitted, above which parameters were wrong
 _BESIDE = 0.15  # part of the gap that a correction without a name must close beside the named effects to be missed
+_AS_WELL = (0.05, -0.1)  # the same beside them, where one alone does nearly as well as all named effects together
 _INSTEAD = 0.015  # the same for one in their place: what is truly there is never beaten by it but by chance
+_FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that then is enough
 _CERTAIN = 0.98  # probability that it is the better one
 
 
@@ -72,15 +74,22 @@ def _unexplained(
     found: Found, beyond: Beyond, gap: float, rules: Rules, rng: np.random.Generator
 ) -> tuple[Stage, Candidate] | None:
     """A correction without a name that does clearly better than the named effects, in their place or beside them."""
-    for stage, least in ((beyond.alone, _INSTEAD), (beyond.beside, _BESIDE)):
-        if stage is None or not stage.candidates or stage.candidates[0].validated is None:
+
+    def more(stage: Stage | None) -> float:
+        return (found.final.cost**0.5 - stage.candidates[0].cost ** 0.5) / gap if stage and gap > 0 else -np.inf
+
+    instead = more(beyond.alone)
+    beside = _AS_WELL[0] if instead >= _AS_WELL[1] else _BESIDE
+    for stage, least in ((beyond.alone, _INSTEAD), (beyond.beside, beside)):
+        if stage is None or more(stage) < least or stage.candidates[0].validated is None:
             continue
         best = stage.candidates[0]
         assert best.validated is not None
-        more = found.final.cost**0.5 - best.cost**0.5
         clear = found.final.cost - best.cost >= rules.least * found.final.cost
         likely = chance_better(best.validated, found.final, rng) >= _CERTAIN
-        if more >= least * gap and clear and likely and stage.p_value(best) <= rules.p_value:
+        # where errors are far above the noise and no name helps, strongly coloured errors need less proof
+        nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
+        if clear and likely and stage.p_value(best) <= (_WEAK_PROOF if nameless else rules.p_value):
             return stage, best
     return None
 

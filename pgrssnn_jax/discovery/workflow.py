@@ -12,8 +12,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings
+from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.linear import look_linear
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, signals
 from pgrssnn_jax.discovery.prove import (
@@ -25,13 +26,19 @@ from pgrssnn_jax.discovery.prove import (
     prove,
     recalibrated_from_spread,
 )
-from pgrssnn_jax.discovery.search import Found, search
-from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup
+from pgrssnn_jax.discovery.search import Found, look_at, search
+from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup, Start
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
-from pgrssnn_jax.discovery.unknown import Formula, flexible_problem, formula, look_beyond, spectral_line
+from pgrssnn_jax.discovery.stretches import stretches
+from pgrssnn_jax.discovery.unknown import Formula, Line, flexible_problem, formula, look_beyond, spectral_line
 from pgrssnn_jax.discovery.verdict import Beyond, Judged, judge
 from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records import Record, take
+
+_STEPS = 8  # of a fit to stretches: they are nearly linear
+_SEARCHED = 20  # sequences in which effects are looked for; their numbers are then fitted to all
+_LOCATED = 24  # sequences or stretches whose correction is estimated
+_AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no line is looked for
 
 
 class Proofs(NamedTuple):
@@ -43,30 +50,34 @@ class Proofs(NamedTuple):
 
 
 class Discovery(NamedTuple):
-    """Everything that was found out. correction: of the recalibrated physics; x: its states on the estimation record;
-    without: test proofs of the final model without each effect in turn."""
+    """Everything that was found out.
+
+    estimation: the record as it was simulated, whole or in stretches; located: its sequences whose correction was
+    estimated; correction: of the recalibrated physics; x: its states there; without: test proofs of the final model
+    without each effect in turn.
+    """
 
     problem: Problem
     signals: Signals
+    estimation: Record
     found: Found
     beyond: Beyond
     judged: Judged
     formula: Formula | None
+    located: Signals
     correction: Correction
     x: Float[np.ndarray, "seq time x"]
-    given: Guess
     train: Proofs
     test: Proofs
     without: dict[str, Proof]
     merit: Merit
-    train_merit: Merit
     seconds: dict[str, float]
 
 
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
     """Raises `ValueError` when the physics as given cannot be simulated over the record."""
-    problem = build_problem(setup.physics, catalogue(setup.physics))
-    return discover_in(problem, setup.estimation, setup.test, setup.settings, notify, shared=setup.shared)
+    problem = build_problem(setup.physics, catalogue(setup.physics), fixed=setup.settings.fixed)
+    return discover_in(problem, setup.estimation, setup.test, setup.settings, notify, start=setup.start)
 
 
 def discover_in(
@@ -76,53 +87,115 @@ def discover_in(
     chosen: DiscoverySettings,
     notify: Callable[[str], None],
     *,
-    shared: bool,
+    start: Start,
     flexible: Problem | None = None,
 ) -> Discovery:
     """flexible: that of `flexible_problem(problem)` where many records are examined with one physics."""
     seconds: dict[str, float] = {}
     rng = np.random.default_rng(chosen.seed)
+    in_stretches = bool(chosen.stretches)
     settings = Settings(steps=chosen.steps, devices=jax.device_count())
+    if in_stretches:
+        settings = settings._replace(lanes=1, devices=1, steps=min(chosen.steps, _STEPS))
     with jax.enable_x64(True):
-        record = signals(problem, estimation, folds=chosen.folds, block=chosen.block)
+        record = _cut(problem, estimation, chosen, 0, start)
+        whole = estimation._replace(u=record.u, y=record.y, mask=record.weight > 0)
         with _timed(seconds, "recalibrate"):
             _check_free_run(problem, record)
             given = fitted_as_given(problem, record, settings)
-            start = recalibrated_from_spread(problem, record, given, settings, rng, chosen.starts)
+            begun = given
+            if len(problem.of(None)):
+                begun = recalibrated_from_spread(problem, record, given, settings, rng, chosen.starts)
         with _timed(seconds, "name"):
-            found = search(problem, record, start, settings, chosen.rules, rng, notify, chosen.without)
+            examine = look_linear if in_stretches else look_at
+            found = search(problem, record, begun, settings, chosen.rules, rng, notify, chosen.without, examine)
+            found = _polished(problem, estimation, chosen, found, settings, start)
         with _timed(seconds, "locate"):
-            base = found.recalibrated.estimate
-            _, x = simulate(problem, record.u, base.theta[None], base.x0[None])
-            noise = (found.floor / max(1, int((record.weight > 0).sum()))) ** 0.5
-            correction = smoothed_correction(problem, record, base.theta, x[0], base.x0, base.error, noise)
+            located, x, correction = _located(problem, record, found)
         with _timed(seconds, "judge"):
+            beyond, told = Beyond(None, None, _line(problem, record, found)), None
             flexible = flexible or flexible_problem(problem)
-            wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)
-            beyond = _beyond(problem, flexible, wide, found, settings, chosen, rng)
-            before = prove(problem, estimation, given, given.x0, merit_for(estimation, 0))
-            energy = float(((record.weight * (record.y - before.y))[record.weight > 0] ** 2).sum())
-            judged = judge(problem, found, beyond, energy, chosen.rules, chosen.seed)
-            told = None
+            wide = record
+            if not in_stretches:
+                wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)
+                beyond = _beyond(problem, flexible, wide, beyond, found, settings, chosen, rng)
+            before = evaluate(problem, record, given).cost
+            judged = judge(problem, found, beyond, before, chosen.rules, chosen.seed)
             if judged.unexplained is not None:
                 stage, best = judged.unexplained
-                _, states = simulate(flexible, wide.u, best.guess.theta[None], best.guess.x0[None])
+                _, states = simulate(flexible, record.u, best.guess.theta[None], best.guess.x0[None])
                 told = formula(flexible, wide, stage, best, states[0])
         with _timed(seconds, "prove"):
-            merit = merit_for(test, 0 if shared else chosen.n_init)
+            merit = merit_for(test, 0 if start is not Start.UNKNOWN else chosen.n_init)
             guesses = [given, found.recalibrated.guess, found.final.guess]
-            train = Proofs(*(prove(problem, estimation, g, g.x0, merit_for(estimation, 0)) for g in guesses))
+            train = Proofs(*(prove(problem, whole, g, g.x0, merit_for(whole, 0)) for g in guesses))
 
             def on_test(guess: Guess) -> Proof:
-                x0 = guess.x0[:1] if shared else fitted_start(problem, test, guess, chosen.n_init, settings)
-                return prove(problem, test, guess, np.broadcast_to(x0, (len(test.u), x0.shape[1])), merit)
+                return prove(problem, test, guess, _test_start(problem, test, guess, chosen, settings, start), merit)
 
             tested = Proofs(*map(on_test, guesses))
             without = {name: on_test(stage.base.guess) for name, stage in found.stages.items()}
     return Discovery(
-        problem, record, found, beyond, judged, told, correction, x[0], given, train, tested, without, merit,
-        merit_for(estimation, 0), seconds,
-    )  # fmt: skip
+        problem,
+        record,
+        whole,
+        found,
+        beyond,
+        judged,
+        told,
+        located,
+        correction,
+        x,
+        train,
+        tested,
+        without,
+        merit,
+        seconds,
+    )
+
+
+def _cut(problem: Problem, estimation: Record, chosen: DiscoverySettings, stage: int, start: Start) -> Signals:
+    if not chosen.stretches:
+        return signals(problem, estimation, folds=chosen.folds, block=chosen.block)
+    if stage == 0:
+        estimation = take(estimation, np.arange(min(len(estimation.u), _SEARCHED)))
+    return stretches(problem, estimation, chosen.stretches[stage], folds=chosen.folds, at_rest=start is Start.AT_REST)
+
+
+def _polished(
+    problem: Problem, estimation: Record, chosen: DiscoverySettings, found: Found, settings: Settings, start: Start
+) -> Found:
+    """The final numbers fitted to ever longer stretches of all sequences; their spread over folds is what it was."""
+    theta = found.final.estimate.theta
+    for stage in range(1, len(chosen.stretches)):
+        longer = _cut(problem, estimation, chosen, stage, start)
+        guess = Guess(found.final.estimate.active, theta, longer.start)
+        ((fitted, _),) = fit_all(problem, longer, [guess], settings)
+        theta = fitted.theta
+    moved = theta - np.where(np.isfinite(theta), found.final.estimate.theta, 0.0)
+    folds = np.where(np.isfinite(theta), found.final.folds + moved, found.final.folds)
+    estimate = found.final.estimate._replace(theta=theta)
+    return found._replace(final=found.final._replace(estimate=estimate, folds=folds))
+
+
+def _located(problem: Problem, record: Signals, found: Found) -> tuple[Signals, np.ndarray, Correction]:
+    """The correction signal of the recalibrated physics on the record, or on its first stretches."""
+    few = Signals(*(a[:_LOCATED] for a in record))
+    base = found.recalibrated.estimate
+    x0, error = base.x0[:_LOCATED], base.error[:_LOCATED]
+    _, x = simulate(problem, few.u, base.theta[None], x0[None])
+    noise = (found.floor / max(1, int((record.weight > 0).sum()))) ** 0.5
+    return few, x[0], smoothed_correction(problem, few, base.theta, x[0], x0, error, noise)
+
+
+def _test_start(
+    problem: Problem, test: Record, guess: Guess, chosen: DiscoverySettings, settings: Settings, start: Start
+) -> Float[np.ndarray, "seq x"]:
+    if start is Start.AT_REST:
+        return np.zeros((len(test.u), guess.x0.shape[1]))
+    if start is Start.SHARED:
+        return np.broadcast_to(guess.x0[:1], (len(test.u), guess.x0.shape[1]))
+    return fitted_start(problem, test, guess, chosen.n_init, settings)
 
 
 def _check_free_run(problem: Problem, record: Signals) -> None:
@@ -135,23 +208,30 @@ def _check_free_run(problem: Problem, record: Signals) -> None:
         )
 
 
+def _line(problem: Problem, record: Signals, found: Found) -> Line | None:
+    """A line in the spectrum of errors that are not at the noise already."""
+    error = found.final.estimate.error
+    if found.final.estimate.cost <= _AT_NOISE * noise_floor(error, record.weight):
+        return None
+    return spectral_line(record, error, problem.physics.dt)
+
+
 def _beyond(
     problem: Problem,
     flexible: Problem,
     record: Signals,
+    beyond: Beyond,
     found: Found,
     settings: Settings,
     chosen: DiscoverySettings,
     rng: np.random.Generator,
 ) -> Beyond:
     """Is there more than the named effects, or something better than they?"""
-    line = spectral_line(record, found.final.estimate.error, problem.physics.dt)
     beside = look_beyond(problem, flexible, record, found.final, settings, chosen.rules, rng)
     alone = None
     if found.final.estimate.active:
         alone = look_beyond(problem, flexible, record, found.recalibrated, settings, chosen.rules, rng)
-    gap = noise_floor(found.final.estimate.error, record.weight)
-    return Beyond(beside, alone, line if found.final.estimate.cost > 1.2 * gap else None)
+    return beyond._replace(beside=beside, alone=alone)
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.effects.any_system import any_system_effects, input_delay
+from pgrssnn_jax.effects.any_system import any_system_effects
 from pgrssnn_jax.effects.arm import arm_effects
 from pgrssnn_jax.effects.base import Effect, Numbers, add
 from pgrssnn_jax.effects.lgssm import lgssm_effects
@@ -21,7 +21,7 @@ def catalogue(physics: Physics, without: Sequence[str] = ()) -> tuple[Effect, ..
     Raises `ValueError` when `without` names an effect that this physics does not have.
     """
     if physics.name == "arm":  # its own effects say per joint what those of any system would
-        found = (*arm_effects(physics), input_delay(physics))
+        found = arm_effects(physics)
     else:
         found = (*_own(physics), *any_system_effects(physics))
     found = tuple(e for e in found if e.name not in _SAID_OTHERWISE.get(physics.name, ()))

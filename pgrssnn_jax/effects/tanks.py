@@ -1,7 +1,7 @@
 """Effects that a model of two cascaded tanks may lack. Levels x1, x2 and the pump voltage u in V, time in s.
 
     overflow     x1 > L: the excess leaves the upper tank; a share α of it lands in the lower one
-    pump         u ← max(u - u0, 0)        u ← min(u, u_max)        u ← u (1 + c u / 10 V)
+    pump         u ← max(u - u0, 0)      u ← min(u, u_max)      u ← u (1 + c u / 10 V + d (u / 10 V)²)
     leak         dx1/dt ← dx1/dt - r x1
     bypass       dx1/dt ← dx1/dt - β k3 u,   dx2/dt ← dx2/dt + β k3 u
     outlet       k4 √x2 ← k4 x2^γ
@@ -18,6 +18,7 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Reach, after_step, on_input
 from pgrssnn_jax.physics.base import Parameter, Physics
+from pgrssnn_jax.physics.tanks import safe_sqrt
 
 _INFINITE = float("inf")
 _FULL_SCALE = 10.0  # V
@@ -29,8 +30,8 @@ def tank_effects(physics: Physics) -> tuple[Effect, ...]:
         leak_tank1(physics.dt),
         bypass(physics.dt),
         outlet_exponent(physics.dt),
-        overflow_1to2(),
-        overflow_lost(),
+        overflow_1to2(physics.dt),
+        overflow_lost(physics.dt),
         tank2_overflow(),
         pump_nonlinearity(),
         pump_dead_zone(),
@@ -52,12 +53,24 @@ def _shares(name: str, signal: str, index: int, shares: tuple[float, ...]) -> Ca
     return starts
 
 
-def overflow_1to2() -> Effect:
+def _spilled(p: Any, level: jax.Array, x: jax.Array, new: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
+    """What runs over the rim in one step, and what the step let through the drain because the level stood above the rim
+    in the meantime: dt f (q(L + e/2) - q(L)), f the share of the step above the rim, e the height reached."""
+    over = jnp.maximum(new[0] - level, 0.0)
+    spills = over > 0.0
+    rim, rise = jnp.where(spills, level, 1.0), jnp.where(spills, jnp.maximum(new[0] - x[0], over), 1.0)
+    half = rim + 0.5 * over
+    through = p["k1"] * (safe_sqrt(half) - safe_sqrt(rim)) - p["k2"] * (half - rim)
+    extra = jnp.where(spills, dt * over / rise * through, 0.0)
+    return over + extra, extra
+
+
+def overflow_1to2(dt: float) -> Effect:
     name = "overflow_1to2"
 
     def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        excess = jnp.maximum(new[0] - p[name]["level"], 0.0)
-        return new.at[0].add(-excess).at[1].add(p[name]["share"] * excess)
+        spilled, extra = _spilled(p, p[name]["level"], x, new, dt)
+        return new.at[0].add(extra - spilled).at[1].add(p[name]["share"] * spilled - extra)
 
     def starts(reach: Reach) -> list[dict[str, Any]]:
         levels = _shares("level", "x", 0, (0.55, 0.75, 0.9))(reach)
@@ -80,8 +93,13 @@ def overflow_1to2() -> Effect:
     )
 
 
-def overflow_lost() -> Effect:
+def overflow_lost(dt: float) -> Effect:
     name = "overflow_lost"
+
+    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        spilled, extra = _spilled(p, p[name]["level"], x, new, dt)
+        return new.at[0].add(extra - spilled).at[1].add(-extra)
+
     return Effect(
         name,
         "Overflow of the upper tank, lost",
@@ -90,7 +108,7 @@ def overflow_lost() -> Effect:
         "dynamics",
         {"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
         _shares("level", "x", 0, (0.55, 0.75, 0.9)),
-        lambda physics: after_step(physics, lambda p, x, u, new: new.at[0].min(p[name]["level"])),
+        lambda physics: after_step(physics, change),
         active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
     )
 
@@ -150,13 +168,21 @@ def pump_nonlinearity() -> Effect:
     return Effect(
         name,
         "Curved pump characteristic",
-        "u' = u (1 + c u / 10 V)",
+        "u' = u (1 + c u / 10 V + d (u / 10 V)²)",
         "the flow of the pump is not proportional to its voltage",
         "input",
-        {"curvature": Parameter("c", "", bounds=(-0.95, 5.0), neutral=0.0)},
-        lambda reach: [{"curvature": np.asarray(c)} for c in (-0.3, 0.3)],
-        lambda physics: on_input(physics, name, lambda n, u: u * (1.0 + n["curvature"] * u / _FULL_SCALE)),
+        {
+            "curvature": Parameter("c", "", bounds=(-5.0, 5.0), neutral=0.0),
+            "third": Parameter("d", "", bounds=(-5.0, 5.0), neutral=0.0),
+        },
+        lambda reach: [{"curvature": np.asarray(c), "third": np.asarray(0.0)} for c in (-0.3, 0.3)],
+        lambda physics: on_input(physics, name, _curved),
     )
+
+
+def _curved(n: Any, u: jax.Array) -> jax.Array:
+    part = u / _FULL_SCALE
+    return u * (1.0 + n["curvature"] * part + n["third"] * part**2)
 
 
 def leak_tank1(dt: float) -> Effect:
@@ -180,9 +206,17 @@ def leak_tank1(dt: float) -> Effect:
 def bypass(dt: float) -> Effect:
     name = "bypass"
 
-    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        flow = dt * p[name]["share"] * p["k3"] * u[0]
-        return new.at[0].add(-flow).at[1].add(flow)
+    def wrap(physics: Physics) -> Physics:
+        def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+            share = p[name]["share"]
+            new = physics.step(p, x, (1.0 - share) * u)
+            gain = dt * share * p["k3"] * u[0]
+            wet = x[1] > 0.0
+            # what comes in during the step raises the level, on average by half, and so the outflow
+            drain = jnp.where(wet, 0.5 * p["k4"] / jnp.sqrt(jnp.where(wet, x[1], 1.0)) - p["k5"], 0.0)
+            return new.at[1].add(gain * (1.0 - 0.5 * dt * jnp.clip(drain, 0.0, 1.0 / dt)))
+
+        return physics._replace(step=step)
 
     return Effect(
         name,
@@ -192,7 +226,7 @@ def bypass(dt: float) -> Effect:
         "dynamics",
         {"share": Parameter("β", "", bounds=(0.0, 1.0), neutral=0.0)},
         lambda reach: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
-        lambda physics: after_step(physics, change),
+        wrap,
     )
 
 

@@ -1,0 +1,192 @@
+"""A look at the catalogue by one linearisation, for systems in which a fit of every candidate would take hours.
+
+    e ≈ e_0 - J δ       J: sensitivities of the stretches by the numbers of the model and of every candidate
+
+The states at which stretches start are eliminated stretch by stretch; what remains are normal equations per stretch,
+from which fits of every candidate, fits without each fold, and fits to noise are sums and small solves. The candidate
+that is chosen is then fitted properly, as the base of the next look.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all, reach_of
+from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
+from pgrssnn_jax.discovery.noise import surrogates
+from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.search import Candidate, Rules, Stage
+
+_CHUNK = 24  # numbers in one linearisation
+_DRAWS = 200  # of the null, at most
+_RIDGE = 1e-9
+
+
+class Reduced(NamedTuple):
+    """Normal equations per stretch without its initial state: normal `[s, k, k]`, pull `[s, k]`, energy `[s]`, and the
+    columns `[s, n, k]` themselves; places `[k]`: positions in θ."""
+
+    normal: Float[np.ndarray, "s k k"]
+    pull: Float[np.ndarray, "s k"]
+    energy: Float[np.ndarray, " s"]
+    columns: Float[np.ndarray, "s n k"]
+    places: Int[np.ndarray, " k"]
+
+
+def look_linear(
+    problem: Problem,
+    signals: Signals,
+    base: Guess,
+    settings: Settings,
+    rules: Rules,
+    rng: np.random.Generator,
+    without: Sequence[str],
+) -> Stage:
+    """As `search.look_at`, with candidates fitted in one step."""
+    ((base, _),) = fit_all(problem, signals, [base], settings)
+    estimate = evaluate(problem, signals, base)
+    own = np.concatenate([problem.of(name) for name in (None, *base.active)])
+    own = own[np.isfinite(base.theta[own])]
+    fold = signals.block[:, 0]
+    noise = surrogates(estimate.error, min(rules.draws, _DRAWS), rng).astype(np.float32)
+    noise = noise.reshape(len(noise), len(fold), -1)
+    (plain,) = _linearised(problem, signals, base, [own], own)
+    reference = _solve(plain, fold)
+    found: dict[str, Candidate] = {}
+    falls = np.zeros(len(noise))
+    energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
+    for guess, reduced in _candidates(problem, signals, base, own, without):
+        name = guess.active[-1]
+        cost, delta, held_out, folds = _solve(reduced, fold)
+        falls = np.maximum(falls, _fall(reduced, noise, len(own)) / energy)
+        theta = _moved(problem, guess.theta, reduced.places, delta)
+        own_folds = np.stack([_moved(problem, guess.theta, reduced.places, d) for d in folds])
+        validated = Validated(estimate._replace(active=guess.active, theta=theta), _as_errors(held_out), own_folds)
+        one = Candidate(name, 1.0 - cost / reference[0], validated, guess._replace(theta=theta))
+        if name not in found or one.cost < found[name].cost:
+            found[name] = one
+    folds = np.stack([_moved(problem, base.theta, plain.places, d) for d in reference[3]])
+    validated = Validated(estimate, _as_errors(reference[2]), folds)
+    return Stage(validated, tuple(sorted(found.values(), key=lambda c: (c.cost, -c.gain))), np.sort(falls), {})
+
+
+def _candidates(
+    problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str]
+) -> list[tuple[Guess, Reduced]]:
+    """Every effect at every start. Effects that begin at their neutral numbers share linearisations."""
+    reach = reach_of(problem, signals, base)
+    together: list[tuple[str, np.ndarray]] = []
+    apart: list[tuple[Guess, np.ndarray]] = []
+    for effect in problem.effects:
+        if effect.name in (*base.active, *without):
+            continue
+        places = problem.of(effect.name)
+        for numbers in effect.starts(reach):
+            theta = problem.put(base.theta, effect.name, numbers)
+            if np.array_equal(theta, base.theta):
+                together.append((effect.name, places))
+            else:
+                free = places[np.isfinite(theta[places])]
+                apart.append((Guess((*base.active, effect.name), theta, base.x0), free))
+    found = []
+    reduced = _linearised(problem, signals, base, [places for _, places in together], own)
+    for (name, _), one in zip(together, reduced, strict=True):
+        found.append((base._replace(active=(*base.active, name)), one))
+    for guess, places in apart:
+        (one,) = _linearised(problem, signals, guess, [places], own)
+        found.append((guess, one))
+    return found
+
+
+def _linearised(
+    problem: Problem, signals: Signals, guess: Guess, wanted: Sequence[np.ndarray], own: np.ndarray
+) -> list[Reduced]:
+    """Own numbers and those wanted, one `Reduced` for each of these, from as few sensitivities as hold them all."""
+    numbers = np.unique(np.concatenate([own, *wanted]).astype(int))
+    count = max(1, -(-len(numbers) // _CHUNK))
+    padded = np.pad(numbers, (0, count * _CHUNK - len(numbers)), constant_values=-1).reshape(count, _CHUNK)
+    alone = np.array([-1])
+    runs = [
+        sensitivity(problem, signals, Lanes(guess.theta[None], guess.x0[None], chunk[None], alone)) for chunk in padded
+    ]
+    blocks = [np.where(np.isfinite(dy[0]), dy[0], 0.0) for _, dy in runs]
+    weight = signals.weight[..., None]
+    n_seq = len(signals.u)
+    error = (signals.weight * (signals.y - runs[0][0][0])).reshape(n_seq, -1)
+    error = np.where(np.isfinite(error), error, 0.0)
+    columns = np.concatenate(
+        [(weight * block[..., :_CHUNK]).reshape(n_seq, error.shape[1], -1) for block in blocks], -1
+    )
+    columns = columns[..., : len(numbers)]
+    starts = (weight * blocks[0][..., _CHUNK:]).reshape(n_seq, error.shape[1], -1)
+    rest, left = _without_starts(signals.precision[:, problem.code.free_start], columns, starts, error)
+    found = []
+    for places in wanted:
+        chosen = np.concatenate([own, [p for p in places if p not in own]]).astype(int)
+        at = np.searchsorted(numbers, chosen)
+        part = rest[..., at]
+        normal = np.einsum("snk,snl->skl", columns[..., at], part)
+        found.append(Reduced(normal, np.einsum("snk,sn->sk", part, error), left, part, chosen))
+    return found
+
+
+def _without_starts(
+    precision: np.ndarray, columns: np.ndarray, starts: np.ndarray, error: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Columns without what the initial states of their stretch take up, and the energy of the errors without it."""
+    local = np.einsum("snx,sny->sxy", starts, starts)
+    index = np.arange(local.shape[-1])
+    local[:, index, index] += precision + _RIDGE * (1.0 + local[:, index, index])
+    across = np.einsum("snx,snk->sxk", starts, columns)
+    taken = np.linalg.solve(local, np.concatenate([across, np.einsum("snx,sn->sx", starts, error)[..., None]], -1))
+    rest = columns - starts @ taken[..., :-1]
+    energy = (error**2).sum(1) - np.einsum("snx,sn,sx->s", starts, error, taken[..., -1])
+    return rest, np.maximum(energy, 0.0)
+
+
+def _solve(reduced: Reduced, fold: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Cost and step of the fit to everything, cost of every stretch left out `[s]`, and the steps without each fold."""
+    delta = _step(reduced.normal.sum(0), reduced.pull.sum(0))
+    cost = float(reduced.energy.sum() - reduced.pull.sum(0) @ delta)
+    held_out = np.zeros(len(fold))
+    folds = []
+    for f in range(int(fold.max()) + 1):
+        out = fold == f
+        step = _step(reduced.normal[~out].sum(0), reduced.pull[~out].sum(0))
+        folds.append(step)
+        held_out[out] = (
+            reduced.energy[out]
+            - 2.0 * reduced.pull[out] @ step
+            + np.einsum("k,skl,l->s", step, reduced.normal[out], step)
+        )
+    return cost, delta, np.maximum(held_out, 0.0), np.stack(folds)
+
+
+def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
+    if not len(pull):
+        return np.zeros(0)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / size / size[:, None] + _RIDGE * np.eye(len(pull))
+    return np.linalg.solve(scaled, pull / size) / size
+
+
+def _fall(reduced: Reduced, noise: np.ndarray, own: int) -> np.ndarray:
+    """By how much the energy of noise falls with the candidate's numbers beyond what the model's own take `[draw]`."""
+    k = len(reduced.places)
+    flat = reduced.columns.reshape(-1, k).astype(np.float32)
+    pull = (noise.reshape(len(noise), -1) @ flat).astype(np.float64)
+    normal = reduced.normal.sum(0)
+    whole = np.array([p @ _step(normal, p) for p in pull])
+    return whole - np.array([p @ _step(normal[:own, :own], p) for p in pull[:, :own]])
+
+
+def _moved(problem: Problem, theta: np.ndarray, places: np.ndarray, delta: np.ndarray) -> np.ndarray:
+    theta = theta.copy()
+    theta[places] = np.clip(theta[places] + delta, problem.low[places], problem.high[places])
+    return theta
+
+
+def _as_errors(held_out: np.ndarray) -> Float[np.ndarray, "seq 1 1"]:
+    return np.sqrt(held_out)[:, None, None]
