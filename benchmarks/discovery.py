@@ -38,7 +38,7 @@ _SETTINGS = {
 }  # fmt: skip
 
 
-_OF_SYSTEM = {"arm": {"stretches": [25, 60]}}
+_OF_SYSTEM = {"arm": {"stretches": [60, 60]}}
 
 
 def main() -> None:

@@ -18,9 +18,9 @@ ROOT = Path(__file__).parent.parent
 QUICK = ["n_seeds=2", "fit.epochs=2", "fit.validate_every=1", "fit.chunk_epochs=1", "model.hidden=3"]
 
 
-def composed(*overrides: str) -> dict:
+def composed(*overrides: str, name: str = "train") -> dict:
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return plain(compose("train", overrides=list(overrides)))
+        return plain(compose(name, overrides=list(overrides)))
 
 
 def planned(*overrides: str, notify=lambda line: None) -> Plan:

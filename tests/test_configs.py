@@ -53,10 +53,10 @@ def test_seeds_and_realisations_train_in_one_program():
 @pytest.mark.parametrize("path", sorted((ROOT / "conf").rglob("*.yaml")), ids=lambda path: path.stem)
 def test_every_file_opens_with_its_command_line(path):
     first = next(line for line in path.read_text().splitlines() if line != "# @package _global_")
-    assert first.startswith("# python train.py")
+    assert first.startswith(("# python train.py", "# python discover.py"))
 
 
-@pytest.mark.parametrize("group", ["physics", "data", "fit"])
+@pytest.mark.parametrize("group", ["physics", "data", "fit", "discovery"])
 def test_every_number_has_its_unit_or_source(group):
     for path in (ROOT / "conf" / group).glob("*.yaml"):
         for line in path.read_text().splitlines():

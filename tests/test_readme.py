@@ -21,7 +21,7 @@ COMMANDS = sorted(
         for language, block in BLOCKS
         if language == "bash"
         for line in block.splitlines()
-        if line.startswith("python train.py")
+        if line.startswith(("python train.py", "python discover.py"))
     }
 )
 EXAMPLE = next(block for language, block in BLOCKS if language == "python" and "# my_physics.py" in block)
@@ -34,7 +34,8 @@ def test_the_own_physics_example_is_short():
 @pytest.mark.parametrize("line", [line for line in COMMANDS if "resume=" not in line])
 def test_every_command_composes(line):
     words = [word for word in shlex.split(line)[2:] if word != "-m" and not word.startswith("hydra.")]
-    config = composed(*(word.split(",")[0] if "=" in word and "[" not in word else word for word in words))
+    name = line.split()[1].removesuffix(".py")
+    config = composed(*(word.split(",")[0] if "=" in word and "[" not in word else word for word in words), name=name)
     assert config["physics"]["_target_"]
 
 

@@ -8,7 +8,7 @@
 coefficients are zero, so that the same search that fits named effects fits these.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -127,7 +127,3 @@ def _history(physics: Physics, name: str, channel: int) -> Effect:
         lambda inner: with_memory(inner, name, memory, advance),
         {"c": (_HISTORY,)},
     )
-
-
-def names(effects: Sequence[Effect]) -> tuple[str, ...]:
-    return tuple(effect.name for effect in effects)

@@ -3,8 +3,8 @@
     e ≈ e_0 - J δ       J: sensitivities of the stretches by the numbers of the model and of every candidate
 
 The states at which stretches start are eliminated stretch by stretch; what remains are normal equations per stretch,
-from which fits of every candidate, fits without each fold, and fits to noise are sums and small solves. The candidate
-that is chosen is then fitted properly, as the base of the next look.
+from which fits of every candidate, fits without each fold, and fits to noise are sums and small solves. The best are
+then fitted properly, and the free run over whole sequences says whether they matter.
 """
 
 from collections.abc import Sequence
@@ -14,13 +14,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all, reach_of
-from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
+from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.search import Candidate, Rules, Stage
 
 _CHUNK = 24  # numbers in one linearisation
 _DRAWS = 200  # of the null, at most
+_FINALISTS = 3  # candidates that are fitted properly
+_LOST = 10.0  # standard deviations: an error that a free run which has left the range counts
 _RIDGE = 1e-9
 
 
@@ -43,33 +45,58 @@ def look_linear(
     rules: Rules,
     rng: np.random.Generator,
     without: Sequence[str],
+    *,
+    whole: Signals,
 ) -> Stage:
-    """As `search.look_at`, with candidates fitted in one step."""
-    ((base, _),) = fit_all(problem, signals, [base], settings)
-    estimate = evaluate(problem, signals, base)
+    """As `search.look_at`: candidates are ranked by one linear step each, and the best are then fitted properly.
+
+    whole: the same sequences uncut, with their starts, for the free run that has the last word.
+    """
+    ((base, cost),) = fit_all(problem, signals, [base], settings)
     own = np.concatenate([problem.of(name) for name in (None, *base.active)])
     own = own[np.isfinite(base.theta[own])]
     fold = signals.block[:, 0]
-    noise = surrogates(estimate.error, min(rules.draws, _DRAWS), rng).astype(np.float32)
+    reference = _validated(problem, signals, base, own)
+    noise = surrogates(reference.estimate.error, min(rules.draws, _DRAWS), rng).astype(np.float32)
     noise = noise.reshape(len(noise), len(fold), -1)
-    (plain,) = _linearised(problem, signals, base, [own], own)
-    reference = _solve(plain, fold)
-    found: dict[str, Candidate] = {}
-    falls = np.zeros(len(noise))
     energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
+    promised: dict[str, tuple[float, Guess]] = {}
+    falls = np.zeros(len(noise))
     for guess, reduced in _candidates(problem, signals, base, own, without):
-        name = guess.active[-1]
-        cost, delta, held_out, folds = _solve(reduced, fold)
+        left, delta, _, _ = _solve(reduced, fold)
         falls = np.maximum(falls, _fall(reduced, noise, len(own)) / energy)
-        theta = _moved(problem, guess.theta, reduced.places, delta)
-        own_folds = np.stack([_moved(problem, guess.theta, reduced.places, d) for d in folds])
-        validated = Validated(estimate._replace(active=guess.active, theta=theta), _as_errors(held_out), own_folds)
-        one = Candidate(name, 1.0 - cost / reference[0], validated, guess._replace(theta=theta))
-        if name not in found or one.cost < found[name].cost:
-            found[name] = one
-    folds = np.stack([_moved(problem, base.theta, plain.places, d) for d in reference[3]])
-    validated = Validated(estimate, _as_errors(reference[2]), folds)
-    return Stage(validated, tuple(sorted(found.values(), key=lambda c: (c.cost, -c.gain))), np.sort(falls), {})
+        moved = guess._replace(theta=_moved(problem, guess.theta, reduced.places, delta))
+        if guess.active[-1] not in promised or left < promised[guess.active[-1]][0]:
+            promised[guess.active[-1]] = (left, moved)
+    ranked = sorted(promised.items(), key=lambda item: item[1][0])
+    found = []
+    for i, (name, (left, guess)) in enumerate(ranked):
+        if i >= _FINALISTS:
+            found.append(Candidate(name, 1.0 - left / cost, None, guess))
+            continue
+        ((fitted, reached),) = fit_all(problem, signals, [guess], settings)
+        places = np.concatenate([own, [p for p in problem.of(name) if np.isfinite(fitted.theta[p])]]).astype(int)
+        validated = _validated(problem, signals, fitted, places)
+        error = _free_run(problem, whole, fitted)
+        found.append(Candidate(name, 1.0 - reached / cost, validated, fitted, error))
+    ordered = tuple(sorted(found, key=lambda c: (c.cost, -c.gain)))
+    return Stage(reference, ordered, np.sort(falls), {}, _free_run(problem, whole, base))
+
+
+def _validated(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray) -> Validated:
+    """Left-out errors of a fitted model by its own linearisation."""
+    (reduced,) = _linearised(problem, signals, fitted, [places], places)
+    _, _, held_out, folds = _solve(reduced, signals.block[:, 0])
+    estimate = evaluate(problem, signals, fitted)
+    moved = np.stack([_moved(problem, fitted.theta, reduced.places, step) for step in folds])
+    return Validated(estimate, np.sqrt(held_out)[:, None, None], moved)
+
+
+def _free_run(problem: Problem, whole: Signals, guess: Guess) -> float:
+    """RMS of the weighted errors over whole sequences."""
+    y, _ = simulate(problem, whole.u, guess.theta[None], whole.start[None])
+    error = np.where(np.isfinite(y[0]), whole.weight * (whole.y - y[0]), _LOST)
+    return float(np.sqrt((np.minimum(np.abs(error), _LOST) ** 2).mean()))
 
 
 def _candidates(
@@ -186,7 +213,3 @@ def _moved(problem: Problem, theta: np.ndarray, places: np.ndarray, delta: np.nd
     theta = theta.copy()
     theta[places] = np.clip(theta[places] + delta, problem.low[places], problem.high[places])
     return theta
-
-
-def _as_errors(held_out: np.ndarray) -> Float[np.ndarray, "seq 1 1"]:
-    return np.sqrt(held_out)[:, None, None]

@@ -49,12 +49,14 @@ class Rules(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """gain: relative fall of the error energy on all of the record; fitted to it and left out in blocks."""
+    """gain: relative fall of the error energy on all of the record; validated: fitted to it and left out in blocks;
+    free_run: error of the free run over whole sequences, where fits see stretches of them."""
 
     name: str
     gain: float
     validated: Validated | None
     guess: Guess
+    free_run: float | None = None
 
     @property
     def cost(self) -> float:
@@ -70,6 +72,7 @@ class Stage(NamedTuple):
     candidates: tuple[Candidate, ...]
     null: Float[np.ndarray, " draw"]
     visible: dict[str, tuple[float, float]]
+    free_run: float | None = None
 
     def p_value(self, candidate: Candidate) -> float:
         return float((1 + (self.null >= candidate.gain).sum()) / (1 + len(self.null)))
@@ -112,7 +115,7 @@ def search(
 
     first = look(start)
     tried = [first.base, *(c.validated for c in first.candidates if c.validated)]
-    judge = _Judge(problem, look, first.base.cost, _floor(signals, tried), rules)
+    judge = _Judge(problem, look, first.base.cost, _floor(signals, tried), rules, first.free_run)
     current = _settled(judge, start)
     if look(current).base.cost ** 0.5 - judge.floor**0.5 > rules.open * judge.gap:
         current = _other_beginnings(judge, first, current)
@@ -125,16 +128,22 @@ Examine = Callable[[Problem, Signals, Guess, Settings, Rules, np.random.Generato
 
 
 class _Judge(NamedTuple):
-    """recalibrated: cross-validated cost without effects; floor: cost of the noise; gap: between their roots."""
+    """recalibrated: cross-validated cost without effects; floor: cost of the noise; gap: between their roots; begun:
+    error of the free run without effects, where fits see stretches."""
 
     problem: Problem
     look: Callable[[Guess], Stage]
     recalibrated: float
     floor: float
     rules: Rules
+    begun: float | None
 
     def matters(self, stage: Stage, candidate: Candidate) -> bool:
-        """It closes its share of the recalibrated gap, or most of what is left of it, visibly."""
+        """It closes its share of the recalibrated gap, or most of what is left of it, visibly. Where fits see stretches
+        alone, whose starts hide what grows slowly, the free run must improve by that share."""
+        if stage.free_run is not None:
+            begun = self.begun if self.begun is not None else stage.free_run
+            return candidate.free_run is not None and stage.free_run - candidate.free_run >= self.rules.share * begun
         gained = stage.base.cost**0.5 - candidate.cost**0.5
         left = max(stage.base.cost**0.5 - self.floor**0.5, 0.0)
         fall = 1.0 - candidate.cost / stage.base.cost if stage.base.cost > 0 else 0.0

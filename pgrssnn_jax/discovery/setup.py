@@ -14,7 +14,7 @@ from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
 from pgrssnn_jax.records import Record, Splits, join, take
 from pgrssnn_jax.settings import call_with
 
-_ARM_STRETCHES = (25, 60)  # samples: the first to find effects, the second to fit their numbers
+_ARM_STRETCHES = (60, 60)  # samples: of few sequences to find effects, of all to fit their numbers
 _LEAST_BLOCKS = 4  # per fold
 
 

@@ -6,6 +6,8 @@ record, physics ──> recalibrated ──> correction signal ──> search �
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -36,7 +38,7 @@ from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.records import Record, take
 
 _STEPS = 8  # of a fit to stretches: they are nearly linear
-_SEARCHED = 20  # sequences in which effects are looked for; their numbers are then fitted to all
+_SEARCHED = 10  # sequences in which effects are looked for; their numbers are then fitted to all
 _LOCATED = 24  # sequences or stretches whose correction is estimated
 _AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no line is looked for
 
@@ -107,8 +109,12 @@ def discover_in(
             if len(problem.of(None)):
                 begun = recalibrated_from_spread(problem, record, given, settings, rng, chosen.starts)
         with _timed(seconds, "name"):
-            examine = look_linear if in_stretches else look_at
-            found = search(problem, record, begun, settings, chosen.rules, rng, notify, chosen.without, examine)
+            examine, rules = look_at, chosen.rules
+            if in_stretches:
+                whole_ones = replace(chosen, stretches=[estimation.u.shape[1]])
+                longest = _cut(problem, estimation, whole_ones, 0, start)
+                examine, rules = partial(look_linear, whole=longest), rules._replace(beam=0)
+            found = search(problem, record, begun, settings, rules, rng, notify, chosen.without, examine)
             found = _polished(problem, estimation, chosen, found, settings, start)
         with _timed(seconds, "locate"):
             located, x, correction = _located(problem, record, found)

@@ -20,10 +20,8 @@ def catalogue(physics: Physics, without: Sequence[str] = ()) -> tuple[Effect, ..
 
     Raises `ValueError` when `without` names an effect that this physics does not have.
     """
-    if physics.name == "arm":  # its own effects say per joint what those of any system would
-        found = arm_effects(physics)
-    else:
-        found = (*_own(physics), *any_system_effects(physics))
+    # an arm's own effects say per joint what those of any system would
+    found = arm_effects(physics) if physics.name == "arm" else (*_own(physics), *any_system_effects(physics))
     found = tuple(e for e in found if e.name not in _SAID_OTHERWISE.get(physics.name, ()))
     known = [effect.name for effect in found]
     for name in without:

@@ -16,7 +16,7 @@ from pgrssnn_jax.reports.content import MISSING, Number, plus_minus, rounded
 from pgrssnn_jax.reports.discovery_figures import DISCOVERY_CAPTIONS
 from pgrssnn_jax.reports.discovery_summary import Discovery, percent, real
 from pgrssnn_jax.reports.markup import number
-from pgrssnn_jax.reports.page import POLICY, _figure, _reproduce
+from pgrssnn_jax.reports.page import POLICY, reproduce, shown_figure
 from pgrssnn_jax.reports.stylesheet import STYLESHEET
 
 SHOWN_ROWS = 15
@@ -46,7 +46,9 @@ def discovery_page(
     links |= {"numbers": "Numbers", "reproduce": "Reproduce"}
     index = "".join(f'<li><a href="#{anchor}">{escape(text)}</a></li>' for anchor, text in links.items())
     pictures = "".join(
-        _figure(f"figure-{k}", "", markup.image(path, title), f"Figure {k}. {title}", DISCOVERY_CAPTIONS.get(title, ""))
+        shown_figure(
+            f"figure-{k}", "", markup.image(path, title), f"Figure {k}. {title}", DISCOVERY_CAPTIONS.get(title, "")
+        )
         for k, (title, path) in enumerate(figures.items(), 1)
     )
     sections = [
@@ -56,7 +58,7 @@ def discovery_page(
         _found(discovery),
         f"<h2>Figures</h2>\n{pictures}" if pictures else "",
         _numbers(discovery),
-        _reproduce(config_text, environment),
+        reproduce(config_text, environment),
     ]
     return f"""<!DOCTYPE html>
 <html lang="en">

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import Number
 from pgrssnn_jax.reports.discovery_summary import Discovery, real
-from pgrssnn_jax.reports.panels import _limit
+from pgrssnn_jax.reports.panels import limit
 from pgrssnn_jax.reports.prediction import READABLE, WINDOW
 
 COLOURS = {"before": style.VERMILLION, "recalibrated": style.YELLOW, "after": style.BLUE}
@@ -140,7 +140,7 @@ def draw_signal(ax: Axes, signal: Output, stages: Sequence[str]) -> None:
     for stage in stages:
         look = {"color": COLOURS[stage], "linewidth": 1.3, "marker": marker, "gid": stage}
         ax.plot(signal.time, signal.simulated[stage], **look)
-    _limit(ax, signal.measured, np.concatenate([signal.simulated[stage] for stage in stages]))
+    limit(ax, signal.measured, np.concatenate([signal.simulated[stage] for stage in stages]))
 
 
 def draw_residuals(ax: Axes, signal: Output, stages: Sequence[str], *, x: str = "time (s)") -> None:
@@ -157,7 +157,7 @@ def draw_residuals(ax: Axes, signal: Output, stages: Sequence[str], *, x: str = 
         blank(ax, "no residual to show: nothing was measured or simulated here")
         return
     span = np.ptp(signal.measured[np.isfinite(signal.measured)]) or 1.0
-    _limit(ax, np.array([-span / 2, span / 2]), np.concatenate([signal.residual(stage) for stage in drawn]))
+    limit(ax, np.array([-span / 2, span / 2]), np.concatenate([signal.residual(stage) for stage in drawn]))
 
 
 def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, name: str, unit: str) -> None:

@@ -48,7 +48,7 @@ def write_page(
         _index(figures),
         _figures(figures, animation),
         _numbers(metrics, history),
-        _reproduce(config_text, environment),
+        reproduce(config_text, environment),
     ]
     title = escape(content.heading(metrics))
     page = f"""<!DOCTYPE html>
@@ -151,16 +151,16 @@ def _index(figures: Mapping[str, str | Path]) -> str:
 
 def _figures(figures: Mapping[str, str | Path], animation: str) -> str:
     blocks = "<h2>Figures</h2>\n" if figures or animation else ""
-    moving = _figure("", "moving", animation, "The arm in motion", CAPTIONS["Animation"]) if animation else ""
+    moving = shown_figure("", "moving", animation, "The arm in motion", CAPTIONS["Animation"]) if animation else ""
     for k, (title, path) in enumerate(figures.items(), 1):
         caption = next((text for name, text in CAPTIONS.items() if title.startswith(name)), "")
-        blocks += _figure(f"figure-{k}", "", markup.image(Path(path), title), f"Figure {k}. {title}", caption)
+        blocks += shown_figure(f"figure-{k}", "", markup.image(Path(path), title), f"Figure {k}. {title}", caption)
         if title.startswith("Arm"):
             blocks, moving = blocks + moving, ""
     return blocks + moving
 
 
-def _figure(anchor: str, look: str, picture: str, title: str, caption: str) -> str:
+def shown_figure(anchor: str, look: str, picture: str, title: str, caption: str) -> str:
     named = "".join(f' {name}="{value}"' for name, value in (("id", anchor), ("class", look)) if value)
     words = f"<strong>{escape(title)}.</strong> {escape(caption)}"
     return f"<figure{named}>{picture}<figcaption>{words}</figcaption></figure>\n"
@@ -199,7 +199,7 @@ def _training(history: pd.DataFrame) -> str:
     )
 
 
-def _reproduce(config_text: str, environment: Mapping[str, Any]) -> str:
+def reproduce(config_text: str, environment: Mapping[str, Any]) -> str:
     """The commands that repeat the run, the configuration and the environment it had."""
     commit, command = environment.get("commit"), environment.get("command")
     steps = [*([f"git checkout {str(commit).removesuffix('+changes')}"] if commit else []), str(command or "")]

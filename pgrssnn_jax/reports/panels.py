@@ -46,8 +46,8 @@ def draw_pair(top: Axes, under: Axes, signal: Signal, metrics: Metrics, k: int, 
         if start < n_init:
             ax.axvspan(t[0], metrics["dt"] * min(n_init, stop), color=style.QUIET, alpha=0.12, linewidth=0)
         ax.margins(x=0.01)
-    _limit(top, y, np.concatenate([members.ravel(), mean - std, mean + std]))
-    _limit(under, np.append(y - np.nanmedian(y) if np.isfinite(y).any() else y, 0.0), y - mean)
+    limit(top, y, np.concatenate([members.ravel(), mean - std, mean + std]))
+    limit(under, np.append(y - np.nanmedian(y) if np.isfinite(y).any() else y, 0.0), y - mean)
     if not np.isfinite(y - mean).any():
         under.set_yticks([])
     if not len(signal.members):
@@ -65,7 +65,7 @@ def _panel_title(metrics: Metrics, k: int) -> str:
     return style.plain(f"{name} · member mean: RMSE {rounded(rmse, unit)}, NRMSE {rounded(nrmse)}")
 
 
-def _limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:
+def limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:
     """Keeps the measurement readable when a prediction runs far away: the axis reaches 1.5 spans beyond it at most."""
     reference, others = reference[np.isfinite(reference)], others[np.isfinite(others)]
     if not len(reference):

@@ -1,0 +1,125 @@
+"""python discover.py, as a user types it: what it leaves, what it says to bad input, and that training takes it up."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import QUICK, ROOT, command
+from hydra import compose, initialize_config_dir
+
+from pgrssnn_jax.discovery.setup import set_up
+from pgrssnn_jax.plan import plain
+
+LINEAR = ["physics=lgssm", "physics.A=[[0.8]]", "physics.B=[[1.0]]", "physics.C=[[1.0]]", "data=csv"]
+SHORT = ["discovery.network_epochs=0", "discovery.folds=2", "discovery.draws=99", "discovery.starts=1",
+         "discovery.most=1", "discovery.block=20"]  # fmt: skip
+KEYS = {
+    "schema", "system", "data", "verdict", "sentence", "effects", "alternatives", "untestable", "formula",
+    "disagreement", "recalibration", "gap", "seconds",
+}  # fmt: skip
+
+
+def write(path: Path, samples: int, seed: int, change=lambda u, y: None) -> Path:
+    """x_t = 0.8 x_{t-1} + min(u_t, 0.8), with noise."""
+    draw = np.random.default_rng(seed)
+    u, x, y = draw.standard_normal(samples), 0.0, np.zeros(samples)
+    for t in range(samples):
+        x = 0.8 * x + min(u[t], 0.8)
+        y[t] = x + 0.02 * draw.standard_normal()
+    change(u, y)
+    np.savetxt(path, np.c_[u, y], delimiter=",", header="u,y", comments="")
+    return path
+
+
+def files(folder: Path, samples: int = 240, change=lambda u, y: None) -> list[str]:
+    train, test = write(folder / "a.csv", samples, 1, change), write(folder / "b.csv", 120, 2)
+    return [f"data.train={train}", f"data.test={test}"]
+
+
+def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
+    pair = files(tmp_path)
+    shared = "data.shared_initial_state=true"
+    code, out, err = command(*LINEAR, *pair, shared, *SHORT, "hydra.run.dir=run", cwd=tmp_path, script="discover.py")
+    assert code == 0, err
+    assert "run folder: run" in out
+    run = tmp_path / "run"
+    assert {p.name for p in run.iterdir()} >= {"config.yaml", "discovery.json", "discovery.npz", "report.html", "DONE"}
+    said = json.loads((run / "discovery.json").read_text())
+    assert set(said) >= KEYS
+    assert (said["schema"], said["system"], said["verdict"]) == (1, "lgssm", "effect_found")
+    assert said["data"] == {**said["data"], "source": "file", "n_train": 240, "n_test": 120, "dt": 1.0}
+    (effect,) = said["effects"]
+    assert effect["name"] == "input_saturation"
+    assert set(effect) >= {"title", "equation", "acts_on", "parameters", "region", "active_fraction", "p_value",
+                           "gain_test", "runner_up"}  # fmt: skip
+    assert effect["parameters"]["high"]["value"] == [pytest.approx(0.8, abs=0.05)]
+    assert set(said["gap"]) >= {"metric", "unit", "before", "recalibrated", "after", "floor", "closed_fraction"}
+    assert said["gap"]["after"]["test"] < 0.2 * said["gap"]["recalibrated"]["test"]
+    with np.load(run / "discovery.npz") as arrays:
+        measured, after = arrays["y_test"], arrays["y_after_test"]
+    assert np.sqrt(np.mean((measured - after) ** 2)) == pytest.approx(said["gap"]["after"]["test"], rel=1e-3)
+
+    effects = f"physics.effects={run / 'discovery.json'}"
+    code, out, err = command(*LINEAR, *pair, effects, *QUICK, "hydra.run.dir=trained", cwd=tmp_path)
+    assert code == 0, err
+    assert "input_saturation" in out
+    assert (tmp_path / "trained" / "DONE").exists()
+
+
+def refused(*arguments: str, cwd: Path, script: str) -> str:
+    """The one sentence; nothing is left."""
+    before = {p.name for p in cwd.iterdir()}
+    code, _, err = command(*arguments, "hydra.run.dir=run", cwd=cwd, script=script)
+    assert code == 2, err
+    assert "Traceback" not in err
+    assert {p.name for p in cwd.iterdir()} == before
+    return err
+
+
+def test_bad_input_is_one_sentence_and_leaves_nothing(tmp_path):
+    def constant(u, y):
+        u[:] = 0.5
+
+    said = refused(*LINEAR, *files(tmp_path, change=constant), *SHORT, cwd=tmp_path, script="discover.py")
+    assert "data: train: u: expected a signal that varies, found only 0.5" in said
+    said = refused(*LINEAR, *files(tmp_path), "physics.effects=none.json", *QUICK, cwd=tmp_path, script="train.py")
+    assert "physics.effects: expected a discovery.json, found 'none.json'" in said
+
+
+def nothing(u, y):
+    pass
+
+
+def flat(u, y):
+    y[:] = 1.5
+
+
+def hole(u, y):
+    u[17] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("samples", "change", "more", "sentence"),
+    [
+        (240, flat, [], "data: train: y: expected a signal that varies, found only 1.5"),
+        (
+            100,
+            nothing,
+            [],
+            r"data: train: expected at least 160 samples for discovery.folds=2 of blocks of 20, found 100",
+        ),
+        (240, nothing, ["discovery.without=[overflow]"], r"effects: expected some of .* found 'overflow'"),
+        (240, hole, [], "a.csv.*line 19.*u.*nan"),
+        (240, nothing, ["discovery.folds=1"], "discovery.folds: expected at least 2, found 1"),
+        (240, nothing, ["discovery.p_value=0"], "discovery.p_value: expected a number between 0 and 1, found 0"),
+        (240, nothing, ["discovery.stretches=[1]"], "discovery.stretches: expected auto or a list of lengths"),
+        (240, nothing, ["discovery.n_init=120"], "discovery.n_init: expected fewer than the 120 samples"),
+    ],
+)
+def test_bad_input_is_named(tmp_path, samples, change, more, sentence):
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("discover", [*LINEAR, *files(tmp_path, samples, change), *SHORT, *more])
+    with pytest.raises(ValueError, match=sentence) as problem:
+        set_up(plain(config), lambda line: None)
+    assert "\n" not in str(problem.value)

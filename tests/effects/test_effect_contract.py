@@ -1,0 +1,170 @@
+"""What every effect of every catalogue promises: neutral numbers change nothing, fits may start where it says."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from toys import quick_jit, toy_physics
+
+from pgrssnn_jax.effects.base import Effect, Reach, add
+from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, check_physics, continuous
+from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+
+def pendulum() -> Physics:
+    return continuous(
+        "pendulum",
+        lambda p, x, u: jnp.stack([x[1], -p["g"] * jnp.sin(x[0]) - p["c"] * x[1] + u[0]]),
+        lambda p, x, u: x[:1],
+        {"g": 9.81, "c": 0.1},
+        parameters={"g": Parameter("g", "1/s²"), "c": Parameter("c", "1/s", bounds=(0.0, 10.0))},
+        dt=0.05,
+        states=(Signal("angle", "rad", like="angle"), Signal("speed", "rad/s", rate_of="angle")),
+        inputs=(Signal("torque", "Nm"),),
+        outputs=(Signal("angle", "rad"),),
+    )
+
+
+SYSTEMS = {
+    "tanks": lambda: cascaded_tanks(integrator="rk4"),
+    "lgssm": lambda: linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0, 0.2], [0.1, 1.0]], C=[[1.0, 0.0]], inputs=["a", "b"]),
+    "pendulum": pendulum,
+    "toy": toy_physics,
+}
+EVERY = [(system, one.name) for system, build in SYSTEMS.items() for one in catalogue(build())]
+
+
+def effect(system: str, name: str) -> Effect:
+    return next(e for e in catalogue(SYSTEMS[system]()) if e.name == name)
+
+
+def reach_of(physics: Physics) -> Reach:
+    draw = np.random.default_rng(0)
+    sizes = [len(s) for s in (physics.states, physics.inputs, physics.outputs)]
+    return Reach(*(np.sort(draw.uniform(0.0, 5.0, (2, n)), 0) for n in sizes))
+
+
+@cache
+def mapped(system: str, name: str | None):
+    """(x, u) to next states and outputs; x may be wider than the physics wants."""
+    physics = SYSTEMS[system]()
+    if name == "all":
+        physics = add(physics, *catalogue(physics))
+    elif name is not None:
+        physics = add(physics, effect(system, name))
+
+    def both(x, u):
+        x = x[: len(physics.states)]
+        return physics.step(params, x, u), physics.measure(params, x, u)
+
+    params = jax.tree.map(jnp.asarray, physics.params)
+    return quick_jit(jax.vmap(both))
+
+
+def same_with_neutral_numbers(system: str, name: str, seed: int) -> None:
+    physics, draw = SYSTEMS[system](), np.random.default_rng(seed)
+    x, u = draw.uniform(-1.0, 9.0, (500, 80)), draw.uniform(-2.0, 6.0, (500, len(physics.inputs)))
+    x[0], u[0] = 0.0, 0.0
+    (new, y), (expected, expected_y) = mapped(system, name)(x, u), mapped(system, None)(x, u)
+    np.testing.assert_allclose(new[:, : len(physics.states)], expected, rtol=1e-13, atol=1e-14)
+    np.testing.assert_allclose(y, expected_y, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize(("system", "name"), EVERY)
+def test_neutral_numbers_change_nothing(system, name):
+    """Memory states, whatever they hold, come behind the others and are not looked at."""
+    same_with_neutral_numbers(system, name, 0)
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_the_whole_catalogue_with_neutral_numbers_changes_nothing(system):
+    same_with_neutral_numbers(system, "all", 1)
+    physics = SYSTEMS[system]()
+    check_physics(add(physics, *catalogue(physics)), system)
+
+
+@pytest.mark.parametrize(("system", "name"), EVERY)
+def test_the_numbers_of_an_effect_are_what_it_says(system, name):
+    physics, one = SYSTEMS[system](), effect(system, name)
+    whole = add(physics, one)
+    assert set(whole.params[name]) == set(whole.parameters[name]) == set(one.parameters)
+    assert set(one.shapes) <= set(one.parameters)
+    assert one.acts_on in ("input", "dynamics", "measurement")
+    assert one.title
+    assert one.cause
+    assert one.equation
+    for key, meaning in one.parameters.items():
+        low, high = meaning.bounds
+        assert meaning.neutral is not None
+        assert low <= meaning.neutral <= high
+        assert np.all(whole.params[name][key] == meaning.neutral)
+    starts = one.starts(reach_of(physics))
+    assert starts
+    for start in starts:
+        assert set(start) == set(one.parameters)
+        add(physics, one, numbers={name: start})
+        for key, value in start.items():
+            low, high = one.parameters[key].bounds
+            assert np.all((np.asarray(value) >= low) & (np.asarray(value) <= high))
+            assert not np.any(np.isnan(value))
+
+
+@pytest.mark.parametrize(("system", "name"), EVERY)
+def test_starting_numbers_change_something(system, name):
+    physics, one = SYSTEMS[system](), effect(system, name)
+    draw, reach = np.random.default_rng(2), reach_of(physics)
+    for start in one.starts(reach):
+        changed = add(physics, one, numbers={name: start})
+        x = draw.uniform(-3.0, 9.0, (200, len(changed.states)))
+        u = draw.uniform(-1.0, 6.0, (200, len(physics.inputs)))
+        n = len(physics.states)
+        moved = 0.0
+        for p, at in ((physics, x[:, :n]), (changed, x)):
+            params = jax.tree.map(jnp.asarray, p.params)
+            new = jax.vmap(p.step, (None, 0, 0))(params, at, u)
+            y = jax.vmap(p.measure, (None, 0, 0))(params, at, u)
+            moved = np.concatenate([new[:, :n], y], 1) - moved
+        assert np.abs(moved).max() > 1e-6
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_derivatives_at_neutral_numbers_are_finite(system):
+    physics = SYSTEMS[system]()
+    whole = add(physics, *catalogue(physics))
+    for x in (np.zeros(len(whole.states)), np.linspace(0.5, 3.0, len(whole.states))):
+        u = jnp.full(len(physics.inputs), 1.5)
+        found = quick_jit(jax.jacfwd(whole.step, (0, 1)))(jax.tree.map(jnp.asarray, whole.params), jnp.asarray(x), u)
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
+
+
+@pytest.mark.parametrize("system", SYSTEMS)
+def test_single_precision_stays_single(system):
+    physics = SYSTEMS[system]()
+    whole = add(physics, *catalogue(physics))
+    x, u = (jax.ShapeDtypeStruct((len(s),), jnp.float32) for s in (whole.states, whole.inputs))
+    params = jax.tree.map(lambda p: jax.ShapeDtypeStruct(np.shape(p), jnp.float32), whole.params)
+    assert jax.eval_shape(whole.step, params, x, u).dtype == jnp.float32
+    assert jax.eval_shape(whole.measure, params, x, u).dtype == jnp.float32
+
+
+@pytest.mark.parametrize(("system", "name"), EVERY)
+def test_an_effect_that_is_there_cannot_be_added_again(system, name):
+    physics, one = SYSTEMS[system](), effect(system, name)
+    with pytest.raises(ValueError, match=f"expected each effect once, found '{name}'"):
+        add(add(physics, one), one)
+    with pytest.raises(ValueError, match="expected each effect once"):
+        add(physics, one, one)
+
+
+def test_numbers_that_are_not_the_effects_are_refused():
+    tanks, level = cascaded_tanks(), effect("tanks", "overflow_1to2")
+    with pytest.raises(ValueError, match=r"overflow_1to2: expected \['level', 'share'\], found 'height'"):
+        add(tanks, level, numbers={"overflow_1to2": {"height": 1.0}})
+    with pytest.raises(ValueError, match=r"sensor_offset.offset: expected shape \(1,\), found \(2,\)"):
+        add(tanks, effect("tanks", "sensor_offset"), numbers={"sensor_offset": {"offset": [1.0, 2.0]}})
