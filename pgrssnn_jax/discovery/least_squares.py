@@ -145,7 +145,7 @@ def _solve(a: jax.Array, b: jax.Array) -> jax.Array:
     in, and on two cores a scan with two of them in it never came back.
     """
     size = jax.lax.rsqrt(jnp.maximum(jnp.diagonal(a, axis1=-2, axis2=-1), 1e-300))
-    scaled = a * size[..., :, None] * size[..., None, :] + _TINY * jnp.eye(a.shape[-1], dtype=a.dtype)
+    scaled = a * size[..., :, None] * size[..., None, :] + _TINY * _eye(a)
     both = jnp.concatenate([scaled, size[..., None] * b], -1)
 
     def eliminate(k: jax.Array, m: jax.Array) -> jax.Array:
@@ -155,6 +155,12 @@ def _solve(a: jax.Array, b: jax.Array) -> jax.Array:
         return jax.lax.dynamic_update_slice_in_dim(rest, row, k, -2)
 
     return size[..., None] * jax.lax.fori_loop(0, a.shape[-1], eliminate, both)[..., a.shape[-1] :]
+
+
+def _eye(like: jax.Array) -> jax.Array:
+    """The identity with as many axes as `like` `[..., n, n]`."""
+    n = like.shape[-1]
+    return jnp.eye(n, dtype=like.dtype).reshape((1,) * (like.ndim - 2) + (n, n))
 
 
 def _time_first(a: Array) -> jax.Array:
@@ -202,7 +208,7 @@ def _fit(
 def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
     u, y, w = (_time_first(a) for a in signals[:3])
     theta0, x0, free = _lanes_last(lanes)
-    counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)  # [seq, time, lane]
+    counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)[None, None]  # [seq, time, lane]
     weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
     low, high, size = (jnp.asarray(a)[:, None] for a in limits)
     anchor, anchor_x = theta0, x0
@@ -265,14 +271,14 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
             [_step(normal, pull, moves, own, back, state, d * state.damping) for d in _DAMPINGS]
         )  # [trial, lane, k + seq s]
         delta, delta_x = shift[..., :k], shift[..., k:]
-        moved = jnp.clip(now.T + delta, lowest.T, highest.T)  # [trial, lane, k]
+        moved = jnp.clip(now.T[None] + delta, lowest.T[None], highest.T[None])  # [trial, lane, k]
         lane = jnp.arange(free.shape[0])[:, None]
         theta = jax.vmap(lambda new: state.theta.T.at[lane, jnp.where(used, free, len(low))].set(new, mode="drop").T)(
             moved
         )
         by_start = _by_start(code)
         delta_x = delta_x.reshape(len(_DAMPINGS), free.shape[0], x0.shape[1], by_start.shape[1])
-        return theta, state.x0 + jnp.einsum("xs,dlqs->dxql", by_start, delta_x)
+        return theta, state.x0[None] + jnp.einsum("xs,dlqs->dxql", by_start, delta_x)
 
     def _step(
         normal: jax.Array,
@@ -289,7 +295,7 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         local = normal[..., k:, k:]
         by_start = jnp.asarray(_by_start(code))
         held = _PRIOR * n + (by_start.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
-        local = local + jnp.where(jnp.eye(local.shape[-1]) > 0, damping[None, :, None, None] * local + held, 0.0)
+        local = local + jnp.where(_eye(local) > 0, damping[None, :, None, None] * local + held, 0.0)
         back_x = _PRIOR * n * (anchor_x - state.x0) + precision * (guessed - state.x0)
         back_x = jnp.einsum("xs,xql->qls", by_start, back_x)
         cross = normal[..., :k, k:] * mask[None, :, :, None]
@@ -298,7 +304,7 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         whole = normal[..., :k, :k].sum(0) * mask[:, :, None] * mask[:, None, :]
         diagonal = jnp.diagonal(whole, axis1=-2, axis2=-1)
         extra = damping[:, None] * diagonal + jnp.where(moves, own, 1.0) + 1e-30
-        whole = whole + extra[:, :, None] * jnp.eye(k) - (cross @ solved[..., :-1]).sum(0)
+        whole = whole + extra[:, :, None] * _eye(whole) - (cross @ solved[..., :-1]).sum(0)
         right = mask * (pull[..., :k].sum(0) + back) - (cross @ solved[..., -1:])[..., 0].sum(0)
         delta = _solve(whole, right[..., None])[..., 0]
         delta_x = solved[..., -1] - (solved[..., :-1] @ delta[None, :, :, None])[..., 0]

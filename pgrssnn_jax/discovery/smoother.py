@@ -70,7 +70,7 @@ def _derivatives(
 
 @partial(jax.jit, static_argnums=5)
 def _smooth(
-    a: jax.Array, c: jax.Array, error: jax.Array, measured: jax.Array, noise: float, reads: str
+    a: jax.Array, c: jax.Array, error: jax.Array, measured: jax.Array, noise: jax.Array | float, reads: str
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Mean and deviation `[x, seq, time]` of d (per sample, scaled) at the likeliest rate; the gain in likelihood."""
     n = a.shape[-1]
@@ -88,7 +88,7 @@ def _smooth(
     def take(a: jax.Array) -> jax.Array:
         return jnp.take_along_axis(a, best[:, None, None, None], 1)[:, 0]
 
-    return take(mean), take(std), likelihood.max(1) - likelihood[:, 0]
+    return take(mean), take(std), likelihood.max(1) - likelihood[:, 0].max()
 
 
 def _one_sequence(
@@ -96,7 +96,7 @@ def _one_sequence(
     c: jax.Array,
     error: jax.Array,
     measured: jax.Array,
-    noise: float,
+    noise: jax.Array | float,
     equation: jax.Array,
     rate: jax.Array,
     reads: str,

@@ -53,7 +53,7 @@ def _shares(name: str, signal: str, index: int, shares: tuple[float, ...]) -> Ca
     return starts
 
 
-def _spilled(p: Any, level: jax.Array, x: jax.Array, new: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
+def _spilled(p: Any, level: Any, x: jax.Array, new: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
     """What runs over the rim in one step, and what the step let through the drain because the level stood above the rim
     in the meantime: dt f (q(L + e/2) - q(L)), f the share of the step above the rim, e the height reached."""
     over = jnp.maximum(new[0] - level, 0.0)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
+from pgrssnn_jax.records import Array
 
 
 def step(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
@@ -25,10 +26,10 @@ def measure(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Flo
     return times(p["C"], x)
 
 
-def times(matrix: Float[jax.Array, "rows columns"], vector: Float[jax.Array, " columns"]) -> Float[jax.Array, " rows"]:
+def times(matrix: Float[Array, "rows columns"], vector: Float[Array, " columns"]) -> Float[jax.Array, " rows"]:
     """Matrix times vector as a sum of products: over a batch the small matrices of a model stay one vector loop, where
     a matrix product would become as many small ones."""
-    return (jnp.asarray(matrix) * vector[None]).sum(-1)
+    return (jnp.asarray(matrix) * jnp.asarray(vector)[None]).sum(-1)
 
 
 def _matrix(name: str, rows: Any) -> Float[np.ndarray, "rows columns"]:

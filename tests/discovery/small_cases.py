@@ -1,11 +1,7 @@
 """Small records for tests of discovery: tanks simulated in plain NumPy with fine steps, and short settings."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
-import jax
-import jaxtyping
 import numpy as np
 
 from pgrssnn_jax.discovery.setup import DiscoverySettings
@@ -84,15 +80,3 @@ def choices(**changes: Any) -> DiscoverySettings:
         "network_epochs": 0,
     }  # fmt: skip
     return DiscoverySettings(**{**standard, **changes})
-
-
-@contextmanager
-def lenient() -> Iterator[None]:
-    """Discovery as users run it: ranks may be promoted, and numbers that are traced pass for `float`."""
-    before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", True)
-    try:
-        with jax.enable_x64(True), jax.numpy_rank_promotion("allow"):
-            yield
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", before)

@@ -2,6 +2,8 @@
 
 import json
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -46,9 +48,9 @@ def test_it_has_the_numbers_and_the_start_that_were_found(tmp_path):
 def test_it_is_simulated_with_the_settings_of_the_discovery(tmp_path):
     """RK4 and no clamp, whatever the group says."""
     physics, numbers = read(tmp_path, FOUND), {name: np.float64(k) for name, k in NUMBERS.items()}
-    x, u = np.array([2.0, 12.0]), np.array([3.0])
+    x, u = jnp.array([2.0, 12.0]), jnp.array([3.0])
     expected = cascaded_tanks(integrator="rk4").step(numbers, x, u)
-    np.testing.assert_allclose(physics.step(physics.params, x, u), expected, rtol=1e-6)
+    np.testing.assert_allclose(physics.step(jax.tree.map(jnp.asarray, physics.params), x, u), expected, rtol=1e-6)
 
 
 def test_a_start_that_is_not_shared_stays_unknown(tmp_path):

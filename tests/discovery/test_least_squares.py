@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from discovery.small_cases import PUBLISHED, lenient, pump, tank_record
+from discovery.small_cases import PUBLISHED, pump, tank_record
 from scipy.optimize import least_squares
 
 from pgrssnn_jax.discovery.least_squares import Lanes, _solve, fit, sensitivity, simulate
@@ -18,7 +18,7 @@ OWN = ["k1", "k3", "k4"]
 
 @pytest.fixture(autouse=True)
 def double_precision():
-    with lenient():
+    with jax.enable_x64(True):
         yield
 
 

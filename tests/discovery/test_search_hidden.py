@@ -1,8 +1,9 @@
 """Effects that were hidden in simulated records are named, and nothing is named where nothing is missing."""
 
+import jax
 import numpy as np
 import pytest
-from discovery.small_cases import choices, fine_tanks, lenient, pump, tank_record
+from discovery.small_cases import choices, fine_tanks, pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.problem import build_problem, signals
@@ -33,7 +34,7 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else():
         ({}, None, {}),
     )
     for hidden, name, numbers in cases:
-        with lenient():
+        with jax.enable_x64(True):
             data = signals(problem, tank_record(u, k=TRUE, **hidden), folds=3, block=20)
             start = fitted_as_given(problem, data, settings)
             found = search(problem, data, start, settings, rules, np.random.default_rng(0), lambda line: None)
@@ -71,7 +72,7 @@ def test_what_the_catalogue_lacks_is_not_called_nothing():
 
     def verdict(damping, **changes):
         train, test = (linear_record(n, seed, damping) for n, seed in ((320, 1), (160, 2)))
-        with lenient():
+        with jax.enable_x64(True):
             return discover_in(problem, train, test, choices(**changes), lambda line: None, start=Start.SHARED)
 
     nothing = verdict(0.0)

@@ -45,13 +45,13 @@ def plain(u_step, u_measure=None, reads="after_step") -> np.ndarray:
 
 
 ON_INPUT = {
-    "input_offset": ({"offset": [0.3, -0.2]}, lambda u: u + [0.3, -0.2]),
+    "input_offset": ({"offset": [0.3, -0.2]}, lambda u: u + np.array([0.3, -0.2])),
     "input_gain": ({"gain": [1.3, 0.6]}, lambda u: u * [1.3, 0.6]),
     "input_saturation": ({"low": [-0.5, -np.inf], "high": [0.7, 0.2]}, lambda u: np.clip(u, [-0.5, -9], [0.7, 0.2])),
     "input_dead_zone": ({"width": [0.4, 0.0]}, lambda u: u - np.clip(u, [-0.4, 0.0], [0.4, 0.0])),
 }
 ON_OUTPUT = {
-    "sensor_offset": ({"offset": [0.3, -0.2]}, lambda y: y + [0.3, -0.2]),
+    "sensor_offset": ({"offset": [0.3, -0.2]}, lambda y: y + np.array([0.3, -0.2])),
     "sensor_gain": ({"gain": [1.3, 0.6]}, lambda y: y * [1.3, 0.6]),
     "sensor_saturation": ({"low": [-0.1, -np.inf], "high": [0.2, 0.3]}, lambda y: np.clip(y, [-0.1, -9], [0.2, 0.3])),
 }
@@ -120,8 +120,8 @@ def test_memories_say_which_input_they_hold():
 
 def test_a_lag_has_a_finite_slope_where_there_is_none():
     physics = changed("input_lag", {})
-    slope = jax.jacfwd(lambda tau: physics.step({**physics.params, "input_lag": {"time_constant": tau}},
-                                                jnp.concatenate([X0, U[0]]), jnp.asarray(U[1])))(jnp.asarray(0.0))  # fmt: skip
+    x, u = jnp.concatenate([X0, U[0]]), jnp.asarray(U[1])
+    slope = jax.jacfwd(lambda tau: physics.step({**physics.params, "input_lag": {"time_constant": tau}}, x, u))(0.0)
     assert np.isfinite(slope).all()
 
 
