@@ -59,7 +59,7 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
 
 def _by_gain(found: Discovery) -> list[str]:
     """Names of the effects, the one without which the test error would be largest first."""
-    return sorted(found.found.final.estimate.active, key=lambda name: -found.found.stages[name].base.cost)
+    return sorted(found.found.final.estimate.active, key=lambda name: -found.found.stages[name].rms())
 
 
 def _closed(found: Discovery, error: float, better: float) -> float:
@@ -70,8 +70,7 @@ def _closed(found: Discovery, error: float, better: float) -> float:
 
 def _floor(found: Discovery) -> float:
     """The noise in the figure of merit."""
-    n = max(1, int((found.signals.weight > 0).sum()))
-    relative = (found.found.floor / n) ** 0.5
+    relative = found.found.noise**0.5
     scale = 1.0 if found.merit.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
     return relative * scale
 
@@ -82,10 +81,9 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
     numbers = problem.params(search.final.estimate.theta)[name]
     std = problem.params(deviations(found))[name]
     own = next((c for c in stage.candidates if c.name == name), None)
-    runner = next((c for c in stage.candidates if c.name != name), None)
+    runner = next((c for c in stage.candidates if c.name != name and c.validated), None)
     acting = _acting(found, effect, numbers)
-    root = stage.base.cost**0.5
-    gap = max(search.recalibrated.cost**0.5 - search.floor**0.5, 1e-300)
+    gap = max(search.first.rms() - search.noise**0.5, 1e-300)
     said: dict[str, Any] = {
         "name": name,
         "title": effect.title,
@@ -106,9 +104,9 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
         "active_fraction": float(acting.mean()),
         "intervals_s": [list(i) for i in intervals(acting[0], problem.physics.dt)][:50],
         "p_value": stage.p_value(own) if own else None,
-        "gain_train": (root - search.final.cost**0.5) / gap,
+        "gain_train": (stage.rms() - search.last.rms()) / gap,
         "gain_test": _closed(found, found.without[name].error, found.test.after.error),
-        "runner_up": {"name": runner.name, "gain": (root - runner.cost**0.5) / gap} if runner else None,
+        "runner_up": {"name": runner.name, "gain": (stage.rms() - stage.rms(runner)) / gap} if runner else None,
         "command": command,
     }
     if effect.channels == "joint":

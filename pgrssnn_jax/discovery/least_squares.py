@@ -185,12 +185,14 @@ def _sensitivity(code: Code, lanes: Lanes, signals: Signals) -> tuple[jax.Array,
 
 
 class _State(NamedTuple):
-    """Of all lanes: theta `[p, lane]`, x0 `[x, seq, lane]`, cost, damping, resting `[lane]`, steps taken."""
+    """Of all lanes: theta `[p, lane]`, x0 `[x, seq, lane]`, cost, damping, resting `[lane]`, steps taken; held
+    `[seq, lane]`: damping of the start of one sequence beyond that of its lane."""
 
     theta: jax.Array
     x0: jax.Array
     cost: jax.Array
     damping: jax.Array
+    held: jax.Array
     resting: jax.Array
     taken: jax.Array
 
@@ -219,42 +221,65 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
     used = free >= 0
     place = jnp.where(used, free, 0).T  # [k, lane]
 
-    def cost_of(theta: jax.Array, x0: jax.Array) -> jax.Array:
-        found, _ = _free_run(code, u, theta, x0)
-        error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
+    def error_of(found: jax.Array) -> jax.Array:
+        return jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
+
+    def tried(theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return costs_of(theta, x0, error_of(_free_run(code, u, theta, x0)[0]))
+
+    def costs_of(theta: jax.Array, x0: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Of the numbers `[lane]`, and of every sequence with its start `[seq, lane]`."""
         # unused places hold infinite neutral values, which an anchor difference would turn into NaN
         moved = jnp.where(theta == anchor, 0.0, theta - anchor)
-        total = (
-            (error**2).sum((0, 1, 2))
-            + (prior * moved**2).sum(0)
-            + (_PRIOR * n * (x0 - anchor_x) ** 2 + precision * (x0 - guessed) ** 2).sum((0, 1))
-        )
-        return jnp.where(jnp.isfinite(total), total, jnp.inf)
+        start = (_PRIOR * n * (x0 - anchor_x) ** 2 + precision * (x0 - guessed) ** 2).sum(0)
+        by_sequence = (error**2).sum((0, 1)) + start
+        return (prior * moved**2).sum(0), jnp.where(jnp.isfinite(by_sequence), by_sequence, jnp.inf)
 
     def step(state: _State) -> _State:
         found, dy = _with_derivatives(code, u, state.theta, state.x0, free)
-        error = jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
+        error = error_of(found)
+        own, by_sequence = costs_of(state.theta, state.x0, error)
+        now = jnp.where(jnp.isfinite(own), own + by_sequence.sum(0), jnp.inf)
         columns = jnp.where(weight[..., None] > 0, weight[..., None] * dy, 0.0)
         columns = jnp.where(jnp.isfinite(columns), columns, 0.0)
         normal = jnp.einsum("tysld,tysle->slde", columns, columns)
         pull = jnp.einsum("tysld,tysl->sld", columns, error)
         trial_theta, trial_x0 = _trials(state, normal, pull)
-        costs = jax.vmap(cost_of)(trial_theta, trial_x0)  # [trial, lane]
+        costs, trial_x0, moved = _tried(state, trial_theta, trial_x0)
         best = jnp.argmin(costs, 0)
         cost = jnp.take_along_axis(costs, best[None], 0)[0]
-        better = (cost < state.cost) & ~state.resting
+        resting = state.resting | ~jnp.isfinite(now)
+        better = (cost < now) & ~resting
         chosen_theta = jnp.take_along_axis(trial_theta, best[None, None], 0)[0]
         chosen_x0 = jnp.take_along_axis(trial_x0, best[None, None, None], 0)[0]
-        still = (state.cost - cost <= _TOLERANCE * state.cost) | (~better & (state.damping > _GIVE_UP))
+        chosen_moved = jnp.take_along_axis(moved, best[None, None], 0)[0]
+        still = (now - cost <= _TOLERANCE * now) | (~better & (state.damping > _GIVE_UP))
         damping = jnp.where(better, jnp.asarray(_DAMPINGS)[best] * state.damping, state.damping * 30.0)
         return _State(
             jnp.where(better, chosen_theta, state.theta),
             jnp.where(better, chosen_x0, state.x0),
-            jnp.where(better, cost, state.cost),
+            jnp.where(better, cost, now),
             jnp.clip(damping, 1e-9, 1e9),
-            state.resting | (better & still) | (~better & (state.damping > _GIVE_UP)),
+            jnp.where(better, jnp.clip(state.held * jnp.where(chosen_moved, 0.1, 10.0), 1.0, _GIVE_UP), state.held),
+            resting | (better & still) | (~better & (state.damping > _GIVE_UP)),
             state.taken + 1,
         )
+
+    def _tried(state: _State, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Cost of every trial `[trial, lane]`, its starts, and which of them moved `[trial, seq, lane]`.
+
+        A sequence keeps its start where moving it does worse: one that meets a stop or comes to rest must not hold
+        back all others.
+        """
+        if x0.shape[2] == 1:
+            own, by_sequence = jax.vmap(tried)(theta, x0)
+            return own + by_sequence[:, 0], x0, jnp.ones(by_sequence.shape, bool)
+        kept = jnp.broadcast_to(state.x0[None], x0.shape)
+        own, by_sequence = jax.vmap(tried)(jnp.concatenate([theta, theta]), jnp.concatenate([x0, kept]))
+        with_move, without = jnp.split(by_sequence, 2)
+        moved = with_move < without
+        best = jnp.minimum(with_move, without).sum(1)
+        return own[: len(theta)] + best, jnp.where(moved[:, None], x0, kept), moved
 
     def _trials(state: _State, normal: jax.Array, pull: jax.Array) -> tuple[jax.Array, jax.Array]:
         """θ `[trial, p, lane]` and x_0 `[trial, x, seq, lane]`."""
@@ -295,7 +320,8 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         local = normal[..., k:, k:]
         by_start = jnp.asarray(_by_start(code))
         held = _PRIOR * n + (by_start.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
-        local = local + jnp.where(_eye(local) > 0, damping[None, :, None, None] * local + held, 0.0)
+        damped = (damping[None] * state.held)[..., None, None]
+        local = local + jnp.where(_eye(local) > 0, damped * local + held, 0.0)
         back_x = _PRIOR * n * (anchor_x - state.x0) + precision * (guessed - state.x0)
         back_x = jnp.einsum("xs,xql->qls", by_start, back_x)
         cross = normal[..., :k, k:] * mask[None, :, :, None]
@@ -310,7 +336,15 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         delta_x = solved[..., -1] - (solved[..., :-1] @ delta[None, :, :, None])[..., 0]
         return jnp.concatenate([delta, jnp.swapaxes(delta_x, 0, 1).reshape(len(delta), -1)], -1)
 
-    cost = cost_of(theta0, x0)
-    state = _State(theta0, x0, cost, jnp.full_like(cost, 1e-2), ~jnp.isfinite(cost), jnp.zeros((), jnp.int32))
+    lane = free.shape[:1]
+    state = _State(
+        theta0,
+        x0,
+        jnp.full(lane, jnp.inf),
+        jnp.full(lane, 1e-2),
+        jnp.ones((x0.shape[1], *lane)),
+        jnp.zeros(lane, bool),
+        jnp.zeros((), jnp.int32),
+    )
     state = jax.lax.while_loop(lambda s: (s.taken < steps) & ~s.resting.all(), step, state)
     return state.theta.T, jnp.transpose(state.x0, (2, 1, 0)), state.cost

@@ -4,7 +4,9 @@
 
 The states at which stretches start are eliminated stretch by stretch; what remains are normal equations per stretch,
 from which fits of every candidate, fits without each fold, and fits to noise are sums and small solves. The best are
-then fitted properly, and the free run over whole sequences says whether they matter.
+then fitted properly, and the free run over whole sequences says whether they matter. The more is known, the longer the
+stretches: what grows slowly is hidden by the free start of a short one, and a long one of a wrong physics has no usable
+gradient.
 """
 
 from collections.abc import Sequence
@@ -17,11 +19,12 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate,
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.search import Candidate, Rules, Stage
+from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, chance, size_and_noise
 
 _CHUNK = 24  # numbers in one linearisation
 _DRAWS = 200  # of the null, at most
-_FINALISTS = 3  # candidates that are fitted properly
+_FINALISTS = 4  # candidates that are fitted properly
+_HOPELESS = 0.2  # p-value of what its linear step promises, above which a candidate is not fitted
 _LOST = 10.0  # standard deviations: an error that a free run which has left the range counts
 _RIDGE = 1e-9
 
@@ -35,11 +38,13 @@ class Reduced(NamedTuple):
     energy: Float[np.ndarray, " s"]
     columns: Float[np.ndarray, "s n k"]
     places: Int[np.ndarray, " k"]
+    low: Float[np.ndarray, " k"]
+    high: Float[np.ndarray, " k"]
 
 
 def look_linear(
     problem: Problem,
-    signals: Signals,
+    cuts: Sequence[Signals],
     base: Guess,
     settings: Settings,
     rules: Rules,
@@ -50,8 +55,12 @@ def look_linear(
 ) -> Stage:
     """As `search.look_at`: candidates are ranked by one linear step each, and the best are then fitted properly.
 
-    whole: the same sequences uncut, with their starts, for the free run that has the last word.
+    cuts: stretches from short to long, one more for every effect that is there; whole: sequences uncut, with their
+    starts, for the free run that has the last word.
     """
+    signals = cuts[min(len(base.active), len(cuts) - 1)]
+    if base.x0.shape != signals.start.shape:
+        base = base._replace(x0=signals.start)
     ((base, cost),) = fit_all(problem, signals, [base], settings)
     own = np.concatenate([problem.of(name) for name in (None, *base.active)])
     own = own[np.isfinite(base.theta[own])]
@@ -62,17 +71,19 @@ def look_linear(
     energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
     promised: dict[str, tuple[float, Guess]] = {}
     falls = np.zeros(len(noise))
+    (alone,) = _linearised(problem, signals, base, [own], own)
+    at_best, _, _ = _solve(alone, fold)
     for guess, reduced in _candidates(problem, signals, base, own, without):
-        left, delta, _, _ = _solve(reduced, fold)
+        left, _, _ = _solve(reduced, fold)
         falls = np.maximum(falls, _fall(reduced, noise, len(own)) / energy)
-        moved = guess._replace(theta=_moved(problem, guess.theta, reduced.places, delta))
         if guess.active[-1] not in promised or left < promised[guess.active[-1]][0]:
-            promised[guess.active[-1]] = (left, moved)
-    ranked = sorted(promised.items(), key=lambda item: item[1][0])
+            promised[guess.active[-1]] = (left, guess)
+    falls = np.sort(falls)
     found = []
-    for i, (name, (left, guess)) in enumerate(ranked):
-        if i >= _FINALISTS:
-            found.append(Candidate(name, 1.0 - left / cost, None, guess))
+    for i, (name, (left, guess)) in enumerate(sorted(promised.items(), key=lambda item: item[1][0])):
+        promise = Candidate(name, (at_best - left) / cost, None, guess)
+        if i >= _FINALISTS or chance(falls, promise.gain) > _HOPELESS:
+            found.append(promise)
             continue
         ((fitted, reached),) = fit_all(problem, signals, [guess], settings)
         places = np.concatenate([own, [p for p in problem.of(name) if np.isfinite(fitted.theta[p])]]).astype(int)
@@ -80,16 +91,17 @@ def look_linear(
         error = _free_run(problem, whole, fitted)
         found.append(Candidate(name, 1.0 - reached / cost, validated, fitted, error))
     ordered = tuple(sorted(found, key=lambda c: (c.cost, -c.gain)))
-    return Stage(reference, ordered, np.sort(falls), {}, _free_run(problem, whole, base))
+    tried = [reference, *(c.validated for c in ordered if c.validated)]
+    return Stage(reference, ordered, falls, {}, *size_and_noise(signals, tried), _free_run(problem, whole, base))
 
 
 def _validated(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray) -> Validated:
     """Left-out errors of a fitted model by its own linearisation."""
     (reduced,) = _linearised(problem, signals, fitted, [places], places)
-    _, _, held_out, folds = _solve(reduced, signals.block[:, 0])
-    estimate = evaluate(problem, signals, fitted)
-    moved = np.stack([_moved(problem, fitted.theta, reduced.places, step) for step in folds])
-    return Validated(estimate, np.sqrt(held_out)[:, None, None], moved)
+    _, held_out, folds = _solve(reduced, signals.block[:, 0])
+    theta = np.repeat(fitted.theta[None], len(folds), 0)
+    theta[:, reduced.places] += folds
+    return Validated(evaluate(problem, signals, fitted), np.sqrt(held_out)[:, None, None], theta)
 
 
 def _free_run(problem: Problem, whole: Signals, guess: Guess) -> float:
@@ -148,52 +160,73 @@ def _linearised(
     )
     columns = columns[..., : len(numbers)]
     starts = (weight * blocks[0][..., _CHUNK:]).reshape(n_seq, error.shape[1], -1)
-    rest, left = _without_starts(signals.precision[:, problem.code.free_start], columns, starts, error)
+    free = problem.code.free_start
+    rest, pull, left = _without_starts(
+        signals.precision[:, free], (signals.start - guess.x0)[:, free], columns, starts, error
+    )
     found = []
     for places in wanted:
         chosen = np.concatenate([own, [p for p in places if p not in own]]).astype(int)
         at = np.searchsorted(numbers, chosen)
         part = rest[..., at]
         normal = np.einsum("snk,snl->skl", columns[..., at], part)
-        found.append(Reduced(normal, np.einsum("snk,sn->sk", part, error), left, part, chosen))
+        now = guess.theta[chosen]
+        room = problem.low[chosen] - now, problem.high[chosen] - now
+        found.append(Reduced(normal, pull[:, at], left, part, chosen, *room))
     return found
 
 
 def _without_starts(
-    precision: np.ndarray, columns: np.ndarray, starts: np.ndarray, error: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Columns without what the initial states of their stretch take up, and the energy of the errors without it."""
+    precision: np.ndarray, off: np.ndarray, columns: np.ndarray, starts: np.ndarray, error: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns without what the initial states of their stretch take up, and pull and energy of the errors without it.
+    off: how far the start that is expected lies from the present one."""
     local = np.einsum("snx,sny->sxy", starts, starts)
     index = np.arange(local.shape[-1])
     local[:, index, index] += precision + _RIDGE * (1.0 + local[:, index, index])
     across = np.einsum("snx,snk->sxk", starts, columns)
-    taken = np.linalg.solve(local, np.concatenate([across, np.einsum("snx,sn->sx", starts, error)[..., None]], -1))
+    right = np.einsum("snx,sn->sx", starts, error) + precision * off
+    taken = np.linalg.solve(local, np.concatenate([across, right[..., None]], -1))
     rest = columns - starts @ taken[..., :-1]
-    energy = (error**2).sum(1) - np.einsum("snx,sn,sx->s", starts, error, taken[..., -1])
-    return rest, np.maximum(energy, 0.0)
+    pull = np.einsum("snk,sn->sk", columns, error) - np.einsum("sxk,sx->sk", across, taken[..., -1])
+    energy = (error**2).sum(1) + (precision * off**2).sum(1) - (right * taken[..., -1]).sum(1)
+    return rest, pull, np.maximum(energy, 0.0)
 
 
-def _solve(reduced: Reduced, fold: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
-    """Cost and step of the fit to everything, cost of every stretch left out `[s]`, and the steps without each fold."""
-    delta = _step(reduced.normal.sum(0), reduced.pull.sum(0))
-    cost = float(reduced.energy.sum() - reduced.pull.sum(0) @ delta)
-    held_out = np.zeros(len(fold))
-    folds = []
+def _solve(reduced: Reduced, fold: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Cost of the fit to everything, cost of every stretch left out `[s]`, and the steps without each fold."""
+
+    def costs(step: np.ndarray, at: np.ndarray) -> np.ndarray:
+        curved = np.einsum("k,skl,l->s", step, reduced.normal[at], step)
+        return np.maximum(reduced.energy[at] - 2.0 * reduced.pull[at] @ step + curved, 0.0)
+
+    def fitted(at: np.ndarray) -> np.ndarray:
+        return _within(reduced.normal[at].sum(0), reduced.pull[at].sum(0), reduced.low, reduced.high)
+
+    everything = np.ones(len(fold), bool)
+    held_out, folds = np.zeros(len(fold)), []
     for f in range(int(fold.max()) + 1):
-        out = fold == f
-        step = _step(reduced.normal[~out].sum(0), reduced.pull[~out].sum(0))
-        folds.append(step)
-        held_out[out] = (
-            reduced.energy[out]
-            - 2.0 * reduced.pull[out] @ step
-            + np.einsum("k,skl,l->s", step, reduced.normal[out], step)
-        )
-    return cost, delta, np.maximum(held_out, 0.0), np.stack(folds)
+        folds.append(fitted(fold != f))
+        held_out[fold == f] = costs(folds[-1], fold == f)
+    return float(costs(fitted(everything), everything).sum()), held_out, np.stack(folds)
+
+
+def _within(normal: np.ndarray, pull: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The step of least cost within bounds; numbers that would leave theirs are held there, one after another."""
+    fixed = np.zeros(len(pull), bool)
+    step = np.zeros(len(pull))
+    while not fixed.all():
+        free = ~fixed
+        step[free] = _step(normal[np.ix_(free, free)], (pull - normal @ np.where(fixed, step, 0.0))[free])
+        beyond = np.maximum(low - step, step - high) * np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        worst = int(np.argmax(np.where(free, beyond, -np.inf)))
+        if beyond[worst] <= 0.0:
+            break
+        step[worst], fixed[worst] = np.clip(step[worst], low[worst], high[worst]), True
+    return step
 
 
 def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
-    if not len(pull):
-        return np.zeros(0)
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / size / size[:, None] + _RIDGE * np.eye(len(pull))
     return np.linalg.solve(scaled, pull / size) / size
@@ -207,9 +240,3 @@ def _fall(reduced: Reduced, noise: np.ndarray, own: int) -> np.ndarray:
     normal = reduced.normal.sum(0)
     whole = np.array([p @ _step(normal, p) for p in pull])
     return whole - np.array([p @ _step(normal[:own, :own], p) for p in pull[:, :own]])
-
-
-def _moved(problem: Problem, theta: np.ndarray, places: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    theta = theta.copy()
-    theta[places] = np.clip(theta[places] + delta, problem.low[places], problem.high[places])
-    return theta

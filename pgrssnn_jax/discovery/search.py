@@ -66,65 +66,84 @@ class Candidate(NamedTuple):
 
 class Stage(NamedTuple):
     """One look at the whole catalogue beside `base`: candidates from best to worst, law of the best gain by luck;
-    visible: energy by which each effect at its starts moves the free run, and what of it nothing else can take up."""
+    visible: energy by which each effect at its starts moves the free run, and what of it nothing else can take up;
+    size: measured samples that count; noise: its variance, in weighted errors."""
 
     base: Validated
     candidates: tuple[Candidate, ...]
     null: Float[np.ndarray, " draw"]
     visible: dict[str, tuple[float, float]]
+    size: int
+    noise: float
     free_run: float | None = None
 
     def p_value(self, candidate: Candidate) -> float:
-        return float((1 + (self.null >= candidate.gain).sum()) / (1 + len(self.null)))
+        return chance(self.null, candidate.gain)
+
+    def rms(self, candidate: Candidate | None = None) -> float:
+        """Weighted error of the base, or of a candidate: of free runs where fits saw stretches, else of samples left
+        out."""
+        chosen = candidate or self
+        if self.free_run is not None:
+            return float("inf") if chosen.free_run is None else chosen.free_run
+        return ((candidate or self.base).cost / self.size) ** 0.5
+
+
+def chance(null: Float[np.ndarray, " draw"], gain: float) -> float:
+    """Part of the draws by luck alone that gain as much."""
+    return float((1 + (null >= gain).sum()) / (1 + len(null)))
+
+
+def size_and_noise(signals: Signals, tried: Sequence[Validated]) -> tuple[int, float]:
+    """Samples that count, and the variance of the noise that the best of some models leaves."""
+    size = max(1, int((signals.weight > 0).sum()))
+    return size, min(noise_floor(v.estimate.error, signals.weight) for v in tried) / size
 
 
 class Found(NamedTuple):
     """recalibrated: no effect; final: with the effects found; stages: the look at the catalogue without each of them,
-    by its name; first and last: the looks beside nothing and beside everything found; floor: energy of the noise."""
+    by its name; first and last: the looks beside nothing and beside everything found; noise: its variance."""
 
     recalibrated: Validated
     final: Validated
     stages: dict[str, Stage]
     first: Stage
     last: Stage
-    floor: float
+    noise: float
+
+    @property
+    def floor(self) -> float:
+        """Error energy of the noise alone."""
+        return self.noise * self.first.size
 
 
 def search(
     problem: Problem,
-    signals: Signals,
     start: Guess,
-    settings: Settings,
     rules: Rules,
-    rng: np.random.Generator,
     notify: Callable[[str], None],
-    without: Sequence[str] = (),
-    examine: "Examine | None" = None,
+    examine: Callable[[Guess], Stage],
 ) -> Found:
-    """From a recalibrated guess without effects to the model that explains the record; effects named in `without` are
-    not looked at. examine: how the catalogue is looked at; None: `look_at`."""
+    """From a recalibrated guess without effects to the model that explains the record. examine: a look at the whole
+    catalogue beside a guess (`look_at`, or `linear.look_linear` for stretches)."""
     looked: dict[tuple[str, ...], Stage] = {}
 
     def look(base: Guess) -> Stage:
         key = tuple(sorted(base.active))
         if key not in looked:
-            looked[key] = (examine or look_at)(problem, signals, base, settings, rules, rng, without)
+            looked[key] = examine(base)
             best = looked[key].candidates
             notify(f"beside {', '.join(base.active) or 'the physics'}: " + _named(best[:3]))
         return looked[key]
 
     first = look(start)
-    tried = [first.base, *(c.validated for c in first.candidates if c.validated)]
-    judge = _Judge(problem, look, first.base.cost, _floor(signals, tried), rules, first.free_run)
+    judge = _Judge(problem, look, first.base.cost, first.noise * first.size, rules, first.free_run)
     current = _settled(judge, start)
     if look(current).base.cost ** 0.5 - judge.floor**0.5 > rules.open * judge.gap:
         current = _other_beginnings(judge, first, current)
     stages = {name: look(_without(problem, current, name)) for name in current.active}
     last = look(current)
-    return Found(first.base, last.base, stages, first, last, min(judge.floor, _floor(signals, [last.base])))
-
-
-Examine = Callable[[Problem, Signals, Guess, Settings, Rules, np.random.Generator, Sequence[str]], Stage]
+    return Found(first.base, last.base, stages, first, last, min(first.noise, last.noise))
 
 
 class _Judge(NamedTuple):
@@ -153,10 +172,6 @@ class _Judge(NamedTuple):
     @property
     def gap(self) -> float:
         return max(self.recalibrated**0.5 - self.floor**0.5, 0.0)
-
-
-def _floor(signals: Signals, validated: Sequence[Validated]) -> float:
-    return min(noise_floor(v.estimate.error, signals.weight) for v in validated)
 
 
 def _named(candidates: Sequence[Candidate]) -> str:
@@ -205,7 +220,7 @@ def look_at(
     for guess, one in zip(guesses, added, strict=True):
         seen = visible.get(guess.active[-1], (0.0, 0.0))
         visible[guess.active[-1]] = (max(seen[0], one.moved), max(seen[1], one.left))
-    return Stage(validated[0], tuple(candidates), law, visible)
+    return Stage(validated[0], tuple(candidates), law, visible, *size_and_noise(signals, validated))
 
 
 def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:

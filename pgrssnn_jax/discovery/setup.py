@@ -14,7 +14,7 @@ from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
 from pgrssnn_jax.records import Record, Splits, join, take
 from pgrssnn_jax.settings import call_with
 
-_ARM_STRETCHES = (60, 60)  # samples: of few sequences to find effects, of all to fit their numbers
+_ARM_STRETCHES = (60, 300)  # samples: while nothing is known, and beside the first effect
 _LEAST_BLOCKS = 4  # per fold
 
 
@@ -22,11 +22,12 @@ _LEAST_BLOCKS = 4  # per fold
 class DiscoverySettings:
     """What `conf/discovery/standard.yaml` says, checked.
 
-    replace: settings of the physics that discovery chooses itself, where the physics has them; fixed: parameters that
-    are taken as given; stretches: lengths in samples, one after the other, empty: whole records; without: effects that
-    the catalogue is to do without; starts: of the recalibration; folds, block: of the cross-validation; n_init: first
-    samples of the test record from which its start is fitted where it is not known; network_epochs: of the PG-RSSNN
-    that is trained on the old and the new physics, 0 for none.
+    replace: settings of the physics that discovery chooses itself, where the physics has them (a mapping replaces the
+    values that it names); fixed: parameters that are taken as given; stretches: lengths in samples, while nothing is
+    known, beside one effect and so on, empty: whole records; without: effects that the catalogue is to do without;
+    starts: of the recalibration; folds, block: of the cross-validation; n_init: first samples of the test record from
+    which its start is fitted where it is not known; network_epochs: of the PG-RSSNN that is trained on the old and the
+    new physics, 0 for none.
     """
 
     replace: Mapping[str, Any]
@@ -83,7 +84,7 @@ class Setup(NamedTuple):
 def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     """config: the resolved configuration as plain data. Raises `ValueError` with one sentence."""
     settings = call_with(DiscoverySettings, config["discovery"], "discovery")
-    group = {name: settings.replace.get(name, value) for name, value in config["physics"].items()}
+    group = {name: _replaced(settings.replace.get(name, value), value) for name, value in config["physics"].items()}
     group["effects"] = None
     physics = load_physics(group)
     if physics.remark:
@@ -101,6 +102,10 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     start = Start.SHARED if shared else Start.AT_REST if config["initial_state"] == "zero" else Start.UNKNOWN
     _check(physics, estimation, one.test, settings, start)
     return Setup(dict(config), group, physics, estimation, one.test, start, settings)
+
+
+def _replaced(chosen: Any, value: Any) -> Any:
+    return chosen.get(value, value) if isinstance(chosen, Mapping) else chosen
 
 
 def _stretches(wanted: list | str, physics: Physics) -> list[int]:

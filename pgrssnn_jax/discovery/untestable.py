@@ -15,10 +15,9 @@ _VISIBLE = 10.0  # variances of the noise: energy of Δy that could be seen
 
 
 def untestable(found: Discovery) -> list[dict[str, Any]]:
-    noise = found.found.floor / max(1, int((found.signals.weight > 0).sum()))
     return [
         {"name": name, "reason": reason}
-        for name, reason in _reasons(found.found.first, noise).items()
+        for name, reason in _reasons(found.found.first, found.found.noise).items()
         if name not in found.found.final.estimate.active
     ]
 

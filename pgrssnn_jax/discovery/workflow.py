@@ -37,8 +37,13 @@ from pgrssnn_jax.discovery.verdict import Beyond, Judged, judge
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.records import Record, take
 
-_STEPS = 8  # of a fit to stretches: they are nearly linear
-_SEARCHED = 10  # sequences in which effects are looked for; their numbers are then fitted to all
+_STEPS = 12  # of a fit to stretches: they are nearly linear
+_SEARCHED = (
+    10,
+    20,
+)  # sequences in which effects are looked for, first and beside others; their numbers are fitted to all
+_LANES = 4  # fits to stretches at a time, on as many devices
+_SPARE = 14  # numbers that such fits have places for: compiling takes longer than the places that stay empty
 _LOCATED = 24  # sequences or stretches whose correction is estimated
 _AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no line is looked for
 
@@ -54,7 +59,7 @@ class Proofs(NamedTuple):
 class Discovery(NamedTuple):
     """Everything that was found out.
 
-    estimation: the record as it was simulated, whole or in stretches; located: its sequences whose correction was
+    signals and estimation: sequences of the record, uncut; located: its sequences whose correction was
     estimated; correction: of the recalibrated physics; x: its states there; without: test proofs of the final model
     without each effect in turn.
     """
@@ -98,10 +103,15 @@ def discover_in(
     in_stretches = bool(chosen.stretches)
     settings = Settings(steps=chosen.steps, devices=jax.device_count())
     if in_stretches:
-        settings = settings._replace(lanes=1, devices=1, steps=min(chosen.steps, _STEPS))
+        lanes = min(_LANES, settings.devices)
+        settings = Settings(spare=_SPARE, lanes=lanes, devices=lanes, steps=min(chosen.steps, _STEPS))
     with jax.enable_x64(True):
-        record = _cut(problem, estimation, chosen, 0, start)
-        whole = estimation._replace(u=record.u, y=record.y, mask=record.weight > 0)
+        cuts = [_cut(problem, estimation, chosen, stage, start) for stage in range(max(1, len(chosen.stretches)))]
+        record = uncut = cuts[0]
+        if in_stretches:
+            in_one = replace(chosen, stretches=[estimation.u.shape[1]])
+            uncut = _cut(problem, estimation, in_one, 0, start)
+        whole = estimation._replace(u=uncut.u, y=uncut.y, mask=uncut.weight > 0)
         with _timed(seconds, "recalibrate"):
             _check_free_run(problem, record)
             given = fitted_as_given(problem, record, settings)
@@ -109,32 +119,36 @@ def discover_in(
             if len(problem.of(None)):
                 begun = recalibrated_from_spread(problem, record, given, settings, rng, chosen.starts)
         with _timed(seconds, "name"):
-            examine, rules = look_at, chosen.rules
+            common = {"settings": settings, "rules": chosen.rules, "rng": rng, "without": chosen.without}
             if in_stretches:
-                whole_ones = replace(chosen, stretches=[estimation.u.shape[1]])
-                longest = _cut(problem, estimation, whole_ones, 0, start)
-                examine, rules = partial(look_linear, whole=longest), rules._replace(beam=0)
-            found = search(problem, record, begun, settings, rules, rng, notify, chosen.without, examine)
-            found = _polished(problem, estimation, chosen, found, settings, start)
+                examine = partial(look_linear, problem, cuts, whole=uncut, **common)
+                found = search(problem, begun, chosen.rules._replace(beam=0), notify, examine)
+                found = _polished(problem, estimation, chosen, found, settings, start)
+            else:
+                found = search(problem, begun, chosen.rules, notify, partial(look_at, problem, record, **common))
         with _timed(seconds, "locate"):
             located, x, correction = _located(problem, record, found)
         with _timed(seconds, "judge"):
-            beyond, told = Beyond(None, None, _line(problem, record, found)), None
-            flexible = flexible or flexible_problem(problem)
-            wide = record
+            beyond, told, wide = Beyond(None, None, None), None, None
             if not in_stretches:
+                flexible = flexible or flexible_problem(problem)
                 wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)
-                beyond = _beyond(problem, flexible, wide, beyond, found, settings, chosen, rng)
+                beyond = _beyond(problem, flexible, wide, found, settings, chosen, rng)
+                beyond = beyond._replace(line=_line(problem, record, found))
             before = evaluate(problem, record, given).cost
             judged = judge(problem, found, beyond, before, chosen.rules, chosen.seed)
             if judged.unexplained is not None:
+                assert flexible is not None
+                assert wide is not None
                 stage, best = judged.unexplained
                 _, states = simulate(flexible, record.u, best.guess.theta[None], best.guess.x0[None])
                 told = formula(flexible, wide, stage, best, states[0])
         with _timed(seconds, "prove"):
             merit = merit_for(test, 0 if start is not Start.UNKNOWN else chosen.n_init)
             guesses = [given, found.recalibrated.guess, found.final.guess]
-            train = Proofs(*(prove(problem, whole, g, g.x0, merit_for(whole, 0)) for g in guesses))
+            train = Proofs(
+                *(prove(problem, whole, g, uncut.start if in_stretches else g.x0, merit_for(whole, 0)) for g in guesses)
+            )
 
             def on_test(guess: Guess) -> Proof:
                 return prove(problem, test, guess, _test_start(problem, test, guess, chosen, settings, start), merit)
@@ -143,7 +157,7 @@ def discover_in(
             without = {name: on_test(stage.base.guess) for name, stage in found.stages.items()}
     return Discovery(
         problem,
-        record,
+        uncut,
         whole,
         found,
         beyond,
@@ -160,24 +174,32 @@ def discover_in(
     )
 
 
-def _cut(problem: Problem, estimation: Record, chosen: DiscoverySettings, stage: int, start: Start) -> Signals:
+def _cut(
+    problem: Problem,
+    estimation: Record,
+    chosen: DiscoverySettings,
+    stage: int,
+    start: Start,
+    *,
+    searched: bool = True,
+) -> Signals:
+    """The record in stretches of a stage's length, or whole. searched: only sequences where effects are looked for."""
     if not chosen.stretches:
         return signals(problem, estimation, folds=chosen.folds, block=chosen.block)
-    if stage == 0:
-        estimation = take(estimation, np.arange(min(len(estimation.u), _SEARCHED)))
+    if searched:
+        count = _SEARCHED[min(stage, len(_SEARCHED) - 1)]
+        estimation = take(estimation, np.arange(min(len(estimation.u), count)))
     return stretches(problem, estimation, chosen.stretches[stage], folds=chosen.folds, at_rest=start is Start.AT_REST)
 
 
 def _polished(
     problem: Problem, estimation: Record, chosen: DiscoverySettings, found: Found, settings: Settings, start: Start
 ) -> Found:
-    """The final numbers fitted to ever longer stretches of all sequences; their spread over folds is what it was."""
-    theta = found.final.estimate.theta
-    for stage in range(1, len(chosen.stretches)):
-        longer = _cut(problem, estimation, chosen, stage, start)
-        guess = Guess(found.final.estimate.active, theta, longer.start)
-        ((fitted, _),) = fit_all(problem, longer, [guess], settings)
-        theta = fitted.theta
+    """The final numbers fitted to the longest stretches of all sequences; their spread over folds is what it was."""
+    every = _cut(problem, estimation, chosen, len(chosen.stretches) - 1, start, searched=False)
+    guess = Guess(found.final.estimate.active, found.final.estimate.theta, every.start)
+    ((fitted, _),) = fit_all(problem, every, [guess], settings)
+    theta = fitted.theta
     moved = theta - np.where(np.isfinite(theta), found.final.estimate.theta, 0.0)
     folds = np.where(np.isfinite(theta), found.final.folds + moved, found.final.folds)
     estimate = found.final.estimate._replace(theta=theta)
@@ -190,8 +212,7 @@ def _located(problem: Problem, record: Signals, found: Found) -> tuple[Signals, 
     base = found.recalibrated.estimate
     x0, error = base.x0[:_LOCATED], base.error[:_LOCATED]
     _, x = simulate(problem, few.u, base.theta[None], x0[None])
-    noise = (found.floor / max(1, int((record.weight > 0).sum()))) ** 0.5
-    return few, x[0], smoothed_correction(problem, few, base.theta, x[0], x0, error, noise)
+    return few, x[0], smoothed_correction(problem, few, base.theta, x[0], x0, error, found.noise**0.5)
 
 
 def _test_start(
@@ -226,7 +247,6 @@ def _beyond(
     problem: Problem,
     flexible: Problem,
     record: Signals,
-    beyond: Beyond,
     found: Found,
     settings: Settings,
     chosen: DiscoverySettings,
@@ -237,7 +257,7 @@ def _beyond(
     alone = None
     if found.final.estimate.active:
         alone = look_beyond(problem, flexible, record, found.recalibrated, settings, chosen.rules, rng)
-    return beyond._replace(beside=beside, alone=alone)
+    return Beyond(beside, alone, None)
 
 
 @contextmanager

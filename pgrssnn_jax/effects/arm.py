@@ -133,17 +133,15 @@ def gravity_counterbalance(n: int, gear: np.ndarray) -> Effect:
 
 
 def viscous_friction(n: int) -> Effect:
-    def starts(reach: Reach) -> list[Numbers]:
-        return [{"B": _PUSH * _largest(reach.u)[:n] / _largest(reach.x, n)[:n]}]
-
+    parameters = {"B": Parameter("B", "Nm s", bounds=(0.0, _INFINITE), neutral=0.0)}
     return Effect(
         "viscous_friction",
         "More viscous friction",
         "τ = ... - G² B q̇",
         "lubricant and seals brake a joint in proportion to its speed, beyond what is known",
         "dynamics",
-        {"B": Parameter("B", "Nm s", bounds=(0.0, _INFINITE), neutral=0.0)},
-        starts,
+        parameters,
+        _at_neutral(parameters, n),
         _inside,
         {"B": (n,)},
         channels="joint",
@@ -151,14 +149,15 @@ def viscous_friction(n: int) -> Effect:
 
 
 def coulomb_friction(n: int) -> Effect:
+    parameters = {"Tc": Parameter("Tc", "Nm", bounds=(0.0, _INFINITE), neutral=0.0)}
     return Effect(
         "coulomb_friction",
         "More Coulomb friction",
         "τ = ... - |G| Tc tanh(q̇ / 0.02 rad/s)",
         "dry friction brakes a joint at any speed, beyond what is known",
         "dynamics",
-        {"Tc": Parameter("Tc", "Nm", bounds=(0.0, _INFINITE), neutral=0.0)},
-        lambda reach: [{"Tc": _PUSH * _largest(reach.u)[:n]}],
+        parameters,
+        _at_neutral(parameters, n),
         _inside,
         {"Tc": (n,)},
         channels="joint",

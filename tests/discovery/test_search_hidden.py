@@ -1,5 +1,7 @@
 """Effects that were hidden in simulated records are named, and nothing is named where nothing is missing."""
 
+from functools import partial
+
 import jax
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from discovery.small_cases import choices, fine_tanks, pump, tank_record
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.problem import build_problem, signals
 from pgrssnn_jax.discovery.prove import fitted_as_given
-from pgrssnn_jax.discovery.search import search
+from pgrssnn_jax.discovery.search import look_at, search
 from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import discover_in
@@ -37,7 +39,10 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else():
         with jax.enable_x64(True):
             data = signals(problem, tank_record(u, k=TRUE, **hidden), folds=3, block=20)
             start = fitted_as_given(problem, data, settings)
-            found = search(problem, data, start, settings, rules, np.random.default_rng(0), lambda line: None)
+            examine = partial(
+                look_at, problem, data, settings=settings, rules=rules, rng=np.random.default_rng(0), without=()
+            )
+            found = search(problem, start, rules, lambda line: None, examine)
         assert found.final.estimate.active == (() if name is None else (name,))
         if name is None:
             assert found.recalibrated.cost < 1.5 * found.floor
