@@ -5,7 +5,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := pgrssnn_jax tests benchmarks train.py discover.py
+SOURCES := pgrssnn_jax hydra_plugins tests benchmarks train.py discover.py report.py
 
 .PHONY: train test check install lock
 train: install

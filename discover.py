@@ -1,5 +1,7 @@
 """Find what a physics lacks: python discover.py +experiment=cascaded_tank [discovery.without=[overflow_1to2]]."""
 
+from typing import Any
+
 from pgrssnn_jax import entry
 
 entry.check_packages()
@@ -9,10 +11,10 @@ from omegaconf import DictConfig  # noqa: E402
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="discover")
-def main(config: DictConfig) -> None:
+def main(config: DictConfig) -> Any:
     from pgrssnn_jax.discovery.command import prepare_discovery
 
-    entry.run(prepare_discovery, config)
+    return entry.run(prepare_discovery, config)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Train a model: python train.py +experiment=cascaded_tank [model=rssnn] [fit.epochs=200] [-m ...]."""
 
+from typing import Any
+
 from pgrssnn_jax import entry
 
 entry.check_packages()
@@ -9,10 +11,10 @@ from omegaconf import DictConfig  # noqa: E402
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="train")
-def main(config: DictConfig) -> None:
+def main(config: DictConfig) -> Any:
     from pgrssnn_jax.experiments import prepare_training
 
-    entry.run(prepare_training, config)
+    return entry.run(prepare_training, config)
 
 
 if __name__ == "__main__":

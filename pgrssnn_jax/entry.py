@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata, util
 from pathlib import Path
@@ -23,6 +23,7 @@ _MODULES = {
     "numpy": "numpy", "scipy": "scipy", "pandas": "pandas", "matplotlib": "matplotlib", "rich": "rich",
     "jaxtyping": "jaxtyping", "nonlinear-benchmarks": "nonlinear_benchmarks", "pin": "pinocchio",
 }  # fmt: skip
+_LAUNCHERS = {"joblib": "hydra-joblib-launcher", "submitit": "hydra-submitit-launcher"}
 
 
 class Interrupted(Exception):
@@ -31,8 +32,21 @@ class Interrupted(Exception):
 
 def check_packages() -> None:
     """Ends with exit code 2 and one sentence when a package is missing, or when the wrong `pinocchio` is there."""
-    if problem := package_problem():
-        sys.exit(_say(problem))
+    if problem := package_problem() or launcher_problem(sys.argv[1:]):
+        sys.exit(say(problem))
+
+
+def launcher_problem(arguments: Sequence[str]) -> str | None:
+    """What is missing of the launcher that the command line asks for; Hydra itself would only list those it has."""
+    for argument in arguments:
+        name = argument.removeprefix("hydra/launcher=") if argument.startswith("hydra/launcher=") else ""
+        package = _LAUNCHERS.get(name.split("_")[0])
+        if package and not _installed(package):
+            return (
+                f"hydra/launcher={name}: expected the package {package}, found none installed: "
+                f"run `pip install 'pgrssnn_jax[sweep]'` (in a checkout `pip install -e '.[sweep]'`)."
+            )
+    return None
 
 
 def package_problem() -> str | None:
@@ -100,27 +114,39 @@ def stop_signal() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
-def run(prepare: Callable[[Any], Callable[[threading.Event], None]], config: Any) -> None:
+def run(prepare: Callable[[Any], Callable[[threading.Event], None]], config: Any) -> Any:
     """`prepare(config)(stop)`: bad input raises `ValueError` while preparing, before anything is written.
 
-    Exit code 2 for bad input, 130 for an interrupted run; any other exception is a bug and keeps its traceback.
+    Exit code 2 for bad input, 130 for an interrupted run; any other exception is a bug and keeps its traceback. A job
+    of a sweep returns how it ended instead, and only an interruption exits.
     """
-    sys.path.insert(0, str(Path.cwd()))  # a user's own physics lives where the command is typed
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))  # a user's own physics lives where the command is typed
     set_up_jax()
     logging.getLogger().setLevel(logging.WARNING)  # JAX and orbax report every step through Hydra's handler
-    logging.getLogger("hydra").setLevel(logging.INFO)
     try:
         with stop_signal() as stop:
+            if in_a_sweep():
+                from pgrssnn_jax.sweep_jobs import run_job
+
+                return run_job(prepare, config, stop)
             try:
                 work = prepare(config)
             except ValueError as problem:
-                sys.exit(_say(str(problem)))
+                sys.exit(say(str(problem)))
             if stop.is_set():
                 raise Interrupted("stopped before training; nothing was written")
             work(stop)
     except (Interrupted, KeyboardInterrupt) as stopped:
         sys.stderr.write(f"{stopped or 'stopped; a run folder that was begun can be resumed'}\n")
         sys.exit(INTERRUPTED)
+
+
+def in_a_sweep() -> bool:
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+
+    return HydraConfig.get().mode is RunMode.MULTIRUN
 
 
 def call(main: Callable[[], None]) -> None:
@@ -137,6 +163,6 @@ def call(main: Callable[[], None]) -> None:
         sys.exit(BAD_INPUT if ended.code == 1 and not composed else ended.code)
 
 
-def _say(sentence: str) -> int:
+def say(sentence: str) -> int:
     sys.stderr.write(f"error: {sentence}\n")
     return BAD_INPUT

@@ -82,6 +82,7 @@ def member_rows(
             "reason": outcome.sentence if state.epoch[i] or outcome.failed else "not trained",
             "best_epoch": int(state.best_epoch[i]),
             "epochs": int(state.epoch[i]),
+            "retreats": int(state.retreats[i]),
             "test": None,
             "validation": None,
         }

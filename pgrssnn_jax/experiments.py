@@ -6,7 +6,7 @@ train   configuration -> plan (all bad input) -> members trained -> predictions 
 import shlex
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from pgrssnn_jax.records import take
 from pgrssnn_jax.reports.prediction import compared
 from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
 from pgrssnn_jax.reports.write import write_report
-from pgrssnn_jax.resume import resume_config
+from pgrssnn_jax.resume import override, resume_config
 from pgrssnn_jax.runs import RunFolder, discard_if_empty, read_config, shown
 from pgrssnn_jax.training import Losses, Training, losses_table, no_losses, progress, train
 
@@ -51,8 +51,11 @@ def prepare_training(config: DictConfig) -> Callable[[threading.Event], None]:
     finally:
         discard_if_empty(Path(hydra.runtime.output_dir))
     command = shlex.join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
-    loading = time.perf_counter() - started
-    return partial(train_run, plan, first, RunFolder(folder), console, command=command, seconds={"load": loading})
+    choices = {group: hydra.runtime.choices.get(group) for group in ("physics", "experiment", "budget")}
+    seconds = {"load": time.perf_counter() - started}
+    return partial(
+        train_run, plan, first, RunFolder(folder), console, command=command, choices=choices, seconds=seconds
+    )
 
 
 def resumed(plan: Plan, run: RunFolder) -> Checkpoint:
@@ -89,16 +92,17 @@ def train_run(
     *,
     command: str,
     seconds: dict[str, float],
+    choices: Mapping[str, str | None] | None = None,
 ) -> None:
     """Trains from `first`, or from fresh members; evaluates, reports. stop: ends training after the current chunk.
 
-    Raises `Interrupted` when stopped, after a checkpoint has been written.
+    choices: names of the configuration's files. Raises `Interrupted` when stopped, after a checkpoint has been written.
     """
     console.print(_headline(plan), soft_wrap=True)
     if first is None and run.finished:
         console.print(f"replacing the earlier run in {shown(run.path)}", soft_wrap=True)
     config_text = OmegaConf.to_yaml(OmegaConf.create({**plan.config, "resume": None}))
-    run.begin(config_text, command=command if first is None else None, data=_origins(plan))
+    run.begin(config_text, command=command if first is None else None, data=_origins(plan), choices=choices)
     checkpoints = CheckpointFolder(run.checkpoint)
     if first is None:
         begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
@@ -114,9 +118,9 @@ def train_run(
     if trained.interrupted:
         raise Interrupted(
             f"stopped after epoch {trained.losses.epochs} of {plan.fit.settings.epochs}; "
-            f"continue with: python train.py {shlex.quote(f'resume={shown(run.path)}')}"
+            f"continue with: python train.py {shlex.quote(override('resume', shown(run.path)))}"
         )
-    metrics, arrays = _evaluated(plan, trained.state, {**seconds, **trained.seconds})
+    metrics, arrays = _evaluated(plan, trained.state, run.choices(), {**seconds, **trained.seconds})
     run.write_arrays("predictions.npz", arrays)
     run.write_json("metrics.json", metrics)
     write_report(run)
@@ -157,7 +161,7 @@ def _train(
 
 
 def _evaluated(
-    plan: Plan, state: MemberState, seconds: dict[str, float]
+    plan: Plan, state: MemberState, choices: Mapping[str, str | None], seconds: dict[str, float]
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """`metrics.json` and the arrays of `predictions.npz`, both in measured units."""
     started = time.perf_counter()
@@ -174,11 +178,15 @@ def _evaluated(
     metrics = {
         "schema": 1,
         "system": physics.name,
+        "physics": choices.get("physics") or physics.name,
+        "experiment": choices.get("experiment"),
+        "budget": choices.get("budget"),
         "model": plan.config["model"]["name"],
         "data": plan.config["data"]["name"],
         "source": info.source,
         "origin": info.origin,
         "n_init": plan.report_n_init[0],
+        "n_train": plan.splits.train.u.shape[2],
         "dt": physics.dt,
         "outputs": [channel._asdict() for channel in info.outputs],
         "members": rows,

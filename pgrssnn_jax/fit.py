@@ -3,6 +3,11 @@
 A block is `validate_every` epochs followed by one validation; a chunk is some blocks in one compiled call. Early
 stopping, best parameters and failure are data of each member: a member that has stopped or failed is frozen by
 selection and never disturbs the others.
+
+What happens when a predicted state, the loss or the gradient is not finite is the `guard`'s matter:
+    none      the member has failed, as the paper counts
+    retreat   it goes back to its best parameters with fresh moments and half the step, at most `RETREATS` times
+A member that never leaves the range trains to the same bits under both.
 Sources: Li, Seth, Kok, IFAC 2026, section 4; Kingma and Ba 2015 (Adam); Loshchilov and Hutter 2019 (AdamW).
 """
 
@@ -13,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from pgrssnn_jax.objective import Loss, MemberData, Objective, Trainable
 
@@ -36,6 +41,8 @@ class Outcome(IntEnum):
         return _SENTENCES[self]
 
 
+RETREATS = 5  # the step is then 1/32 of the first: what still leaves the range does so whatever the step
+
 _SENTENCES = {
     Outcome.TRAINING: "trained to the last epoch",
     Outcome.STOPPED_EARLY: "stopped early: validation no longer improved",
@@ -49,7 +56,8 @@ _SENTENCES = {
 class FitSettings:
     """optimizer with learning_rate, weight_decay (adamw only) and clip_norm (gradient norm, None: off); at most
     `epochs`, validated every `validate_every`, stopped `patience` epochs after the best; `chunk_epochs` per compiled
-    call. physics_parameters: trained or fixed at their values; checkpoint_seconds between checkpoints on disk."""
+    call. guard: what becomes of a member that leaves the floating-point range; physics_parameters: trained or fixed at
+    their values; checkpoint_seconds between checkpoints on disk."""
 
     epochs: int = 1000
     optimizer: Literal["adam", "adamw"] = "adamw"
@@ -59,6 +67,7 @@ class FitSettings:
     validate_every: int = 5
     patience: int = 100
     chunk_epochs: int = 20
+    guard: Literal["none", "retreat"] = "retreat"
     physics_parameters: Literal["fixed", "trained"] = "fixed"
     checkpoint_seconds: float = 30.0
 
@@ -81,9 +90,14 @@ class FitSettings:
         """Validations per compiled chunk."""
         return max(1, self.chunk_epochs // self.validate_every)
 
+    @property
+    def retreats(self) -> int:
+        """How often a member may go back to its best parameters."""
+        return RETREATS if self.guard == "retreat" else 0
+
 
 class MemberState(NamedTuple):
-    """Everything that the next chunk of a member depends on."""
+    """Everything that the next chunk of a member depends on; retreats: how often it went back, each halves the step."""
 
     theta: Trainable
     optimizer: Any
@@ -92,6 +106,7 @@ class MemberState(NamedTuple):
     best_epoch: Int[Array, ""]
     epoch: Int[Array, ""]
     outcome: Int[Array, ""]
+    retreats: Int[Array, ""]
 
 
 class History(NamedTuple):
@@ -114,7 +129,8 @@ class Fit(NamedTuple):
         loss = self.objective.on_validation(theta, data).mean
         zero = jnp.zeros((), jnp.int32)
         optimizer = build_optimizer(self.settings).init(theta)
-        return MemberState(theta, optimizer, theta, jnp.where(jnp.isfinite(loss), loss, jnp.inf), zero, zero, zero)
+        best_loss = jnp.where(jnp.isfinite(loss), loss, jnp.inf)
+        return MemberState(theta, optimizer, theta, best_loss, zero, zero, zero, zero)
 
     def advance(self, state: MemberState, data: MemberData) -> tuple[MemberState, History]:
         """One chunk of epochs with its validations."""
@@ -136,20 +152,18 @@ class Fit(NamedTuple):
             return loss.total, loss
 
         gradient, loss = jax.grad(objective, has_aux=True)(state.theta)
-        updates, optimizer = build_optimizer(self.settings).update(gradient, state.optimizer, state.theta)
+        optimizer = build_optimizer(self.settings, state.retreats)
+        updates, optimizer = optimizer.update(gradient, state.optimizer, state.theta)
         moved: Any = optax.apply_updates(state.theta, updates)
         theta = self.objective.within_bounds(moved)
         outcome = _outcome(loss, gradient)
         active = (state.outcome == Outcome.TRAINING) & (state.epoch < data.last_epoch)
         good = active & (outcome == Outcome.TRAINING)
         theta, optimizer = _choose(good, (theta, optimizer), (state.theta, state.optimizer))
-        state = state._replace(
-            theta=theta,
-            optimizer=optimizer,
-            epoch=state.epoch + good,
-            outcome=jnp.where(active, outcome, state.outcome),
-        )
-        return state, jnp.where(active, loss.mean, jnp.nan)
+        state = self._judged(state._replace(theta=theta, optimizer=optimizer), outcome, active)
+        # an epoch that ended in a retreat counts, or the history and the epoch would part
+        epoch = state.epoch + (active & (state.outcome == Outcome.TRAINING))
+        return state._replace(epoch=epoch), jnp.where(active, loss.mean, jnp.nan)
 
     def _validated(self, state: MemberState, data: MemberData, advanced: jax.Array) -> tuple[MemberState, jax.Array]:
         loss = self.objective.on_validation(state.theta, data)
@@ -159,35 +173,51 @@ class Fit(NamedTuple):
             better, (state.theta, loss.mean, state.epoch), (state.best, state.best_loss, state.best_epoch)
         )
         overdue = state.epoch - best_epoch >= self.settings.patience
-        ended = jnp.where(overdue, Outcome.STOPPED_EARLY, Outcome.TRAINING)
-        outcome = jnp.where(loss.finite, ended, Outcome.STATE_NOT_FINITE).astype(jnp.int32)
-        state = state._replace(
-            best=best,
-            best_loss=best_loss,
-            best_epoch=best_epoch,
-            outcome=jnp.where(active, outcome, state.outcome),
-        )
+        ended = jnp.where(overdue, Outcome.STOPPED_EARLY, Outcome.TRAINING).astype(jnp.int32)
+        outcome = _outcome(loss)
+        state = state._replace(best=best, best_loss=best_loss, best_epoch=best_epoch)
+        state = self._judged(state, jnp.where(outcome == Outcome.TRAINING, ended, outcome), active)
         return state, jnp.where(active, loss.mean, jnp.nan)
 
+    def _judged(self, state: MemberState, outcome: Int[Array, ""], active: Bool[Array, ""]) -> MemberState:
+        """The member after an epoch or a validation that went as `outcome` says: it goes on, stops, retreats or fails;
+        untouched if not `active`."""
+        back = active & (outcome >= Outcome.STATE_NOT_FINITE) & (state.retreats < self.settings.retreats)
+        fresh = build_optimizer(self.settings).init(state.best)
+        theta, optimizer = _choose(back, (state.best, fresh), (state.theta, state.optimizer))
+        return state._replace(
+            theta=theta,
+            optimizer=optimizer,
+            outcome=jnp.where(active & ~back, outcome, state.outcome),
+            retreats=state.retreats + back,
+        )
 
-def build_optimizer(settings: FitSettings) -> optax.GradientTransformation:
+
+def build_optimizer(settings: FitSettings, retreats: Int[Array, ""] | int = 0) -> optax.GradientTransformation:
+    """The optimizer of a member that went back `retreats` times: learning rate / 2^retreats."""
+    learning_rate = settings.learning_rate / (1 << retreats)
     if settings.optimizer == "adam":
-        update = optax.adam(settings.learning_rate)
+        update = optax.adam(learning_rate)
     else:
         # the decay pulls weights to zero; an initial state or a physical constant has no reason to go there
         decayed = Trainable(True, False, False)
-        update = optax.adamw(settings.learning_rate, weight_decay=settings.weight_decay, mask=lambda _: decayed)
+        update = optax.adamw(learning_rate, weight_decay=settings.weight_decay, mask=lambda _: decayed)
     if settings.clip_norm is None:
         return update
     return optax.chain(optax.clip_by_global_norm(settings.clip_norm), update)
 
 
-def _outcome(loss: Loss, gradient: Trainable) -> Int[Array, ""]:
-    """How an epoch went, the first cause first."""
+def _outcome(loss: Loss, gradient: Trainable | None = None) -> Int[Array, ""]:
+    """How an epoch, or a validation, went; the first cause first.
+
+    A gradient whose elements are finite has not failed, though their norm may overflow: clipping then makes the step
+    zero, in the published code too.
+    """
+    finite = [jnp.isfinite(g).all() for g in jax.tree.leaves(gradient)]
     problems = (
         (~loss.finite, Outcome.STATE_NOT_FINITE),
         (~jnp.isfinite(loss.total), Outcome.LOSS_NOT_FINITE),
-        (~jnp.isfinite(optax.tree.norm(gradient)), Outcome.GRADIENT_NOT_FINITE),
+        (~jnp.stack([*finite, jnp.bool_(True)]).all(), Outcome.GRADIENT_NOT_FINITE),
     )
     conditions, outcomes = zip(*problems, strict=True)
     return jnp.select(conditions, [jnp.int32(o) for o in outcomes], jnp.int32(Outcome.TRAINING))

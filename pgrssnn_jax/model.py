@@ -59,6 +59,15 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
         raise ValueError(
             f"model: hidden and gru_layers: expected at least 1, found {spec.hidden} and {spec.gru_layers}"
         )
+    if spec.features == "radial" and spec.recurrent:
+        raise ValueError("model: recurrent: expected false with features=radial, which has no GRU, found true")
+    if not spec.regularisation >= 0:
+        raise ValueError(f"model: regularisation: expected 0 or more, found {spec.regularisation}")
+    if spec.regularisation and (spec.recurrent or not spec.feedback):
+        raise ValueError(
+            "model: regularisation: expected 0 but for feedback=true and recurrent=false, whose corrections are "
+            f"functions of input and state alone, found {spec.regularisation}"
+        )
     if not spec.networks:
         return Model(spec, physics, None, lambda key: {})
     sizes = {"n_u": len(physics.inputs), "n_x": len(physics.states), "n_y": len(physics.outputs)}

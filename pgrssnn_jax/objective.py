@@ -4,6 +4,12 @@
 
 θ: network weights, and, where asked, physics parameters and the initial states of the training sequences.
 Source: Li, Seth, Kok, IFAC 2026, section 4.
+
+With `ModelSpec.regularisation` λ, training alone adds for its time of T samples (Liu, Tóth, Schoukens, SYSID 2024)
+
+    λ T mean_j w(z_j) (|f_nn(z_j)|² + |g_nn(z_j)|²),     w(z): how scarce the samples [u_t, x_t] are near z
+
+at surrogate points z_j over the range of the scaled signals: where the data says little, the physics stands.
 """
 
 from collections.abc import Callable
@@ -16,8 +22,9 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.initial_state import InitialState, first_output_states, start_state
 from pgrssnn_jax.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Parameter, is_parameter
+from pgrssnn_jax.radial import scarcity, surrogate_points
 from pgrssnn_jax.records import Array, Record, real_samples
-from pgrssnn_jax.rollout import Route, rollout
+from pgrssnn_jax.rollout import Route, Trajectory, rollout
 from pgrssnn_jax.scaling import Scaling
 
 
@@ -96,11 +103,14 @@ class Objective(NamedTuple):
 
     def on_train(self, theta: Trainable, data: MemberData) -> Loss:
         params = self.assemble(theta, data.scaling)
-        return self._loss(params, data.train, self._train_state(theta, params, data))
+        loss, predicted = self._loss(params, data.train, self._train_state(theta, params, data))
+        if not (self.model.spec.regularisation and self.model.spec.guided):
+            return loss
+        return loss._replace(total=loss.total + self._penalty(params, data.train, predicted.x))
 
     def on_validation(self, theta: Trainable, data: MemberData) -> Loss:
         params = self.assemble(theta, data.scaling)
-        return self._loss(params, data.validation, start_state(self.model, params, data.validation, self.initial))
+        return self._loss(params, data.validation, start_state(self.model, params, data.validation, self.initial))[0]
 
     def test_state(self, theta: Trainable, data: MemberData, test: Record) -> Float[Array, "seq x"]:
         """x_0 of the test sequences: the training record's where the benchmark says that it is shared."""
@@ -115,13 +125,30 @@ class Objective(NamedTuple):
             return start_state(self.model, params, data.train, self.initial)
         return params.scaling.x.to_physical(theta.x0)
 
-    def _loss(self, params: ModelParams, record: Record, x0: jax.Array) -> Loss:
+    def _loss(self, params: ModelParams, record: Record, x0: jax.Array) -> tuple[Loss, Trajectory]:
         predicted = rollout(self.model, params, record.u, x0, route=self.route, real=real_samples(record))
         y = params.scaling.y
         error = jnp.where(record.mask, y.to_scaled(record.y) - y.to_scaled(predicted.y), 0.0)
         squares = jnp.sum(error**2)
         n_seq, time = record.u.shape[:2]
-        return Loss(squares / n_seq, squares / jnp.sum(record.mask), jnp.all(predicted.first_bad == time))
+        finite = jnp.all(predicted.first_bad == time)
+        return Loss(squares / n_seq, squares / jnp.sum(record.mask), finite), predicted
+
+    def _penalty(self, params: ModelParams, record: Record, x: jax.Array) -> Float[jax.Array, ""]:
+        """The weighted regularisation of a fed-back model that predicts the states x `[seq, time, x]` of a record."""
+        networks, u = self.model.networks(params), record.u
+        if networks is None:
+            return jnp.zeros((), x.dtype)
+        n_u, n_z = u.shape[-1], u.shape[-1] + x.shape[-1]
+        samples = jnp.concatenate([params.scaling.u.to_scaled(u), params.scaling.x.to_scaled(x)], -1)
+        points, real = jnp.asarray(surrogate_points(n_z), x.dtype), real_samples(record)
+        counted = jnp.ones(u.shape[:2], bool) if real is None else jnp.asarray(real)
+        # which states are visited is not to be moved by the penalty
+        weight = scarcity(points, jax.lax.stop_gradient(samples.reshape(-1, n_z)), counted.ravel())
+        f_nn = networks.f_nn(None, networks.features_u(points))
+        g_nn = networks.g_nn(points[:, n_u:], points[:, :n_u])
+        squares = jnp.sum(f_nn**2, -1) + jnp.sum(g_nn**2, -1)
+        return self.model.spec.regularisation * u.shape[1] * jnp.mean(weight * squares)
 
 
 def build_objective(

@@ -11,6 +11,7 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from pgrssnn_jax import members
+from pgrssnn_jax.budget import capped
 from pgrssnn_jax.datasets.csv import load_csv
 from pgrssnn_jax.datasets.lgssm import load_lgssm
 from pgrssnn_jax.datasets.robot import load_robot_real, load_robot_simulated
@@ -150,10 +151,14 @@ def plain(config: DictConfig) -> dict[str, Any]:
 
 
 def loose(config: DictConfig) -> dict[str, Any]:
-    """The same as `plain`, with `???` where a value is missing."""
+    """The same as `plain`, with `???` where a value is missing.
+
+    What is not part of a run is left out: the name of a sweep, and the budget, which is applied here.
+    """
     found = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     assert isinstance(found, dict)
-    return {str(key): value for key, value in found.items()}
+    settings = {str(key): value for key, value in found.items() if key not in ("sweep", "budget")}
+    return capped(settings, found.get("budget") or {})
 
 
 def load_physics(group: Mapping[str, Any]) -> Physics:

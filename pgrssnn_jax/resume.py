@@ -1,5 +1,6 @@
 """Going on with an interrupted run: its saved configuration rules, and the command line may only agree or prolong."""
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,30 @@ def resume_config(
             )
         before[key] = now[key]
     return {**_nested(before), "resume": str(folder)}
+
+
+def override(key: str, text: str) -> str:
+    """`key=text` as Hydra reads it back, whatever the text."""
+    if re.fullmatch(r"[A-Za-z/._][A-Za-z0-9/._-]*", text) and text.lower() not in (
+        "null",
+        "true",
+        "false",
+        "inf",
+        "nan",
+    ):
+        return f"{key}={text}"
+    escaped = re.sub(r'(\\*)("|\Z)', lambda found: 2 * found[1] + ('\\"' if found[2] else ""), text)
+    return f'{key}="{escaped}"'
+
+
+def first_difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+    """The first key, in the order of the alphabet, in which two configurations differ, with both values; a key that
+    is not there counts as None only beside a value."""
+    a, b = _flat(before), _flat(now)
+    for key in sorted(a.keys() | b.keys()):
+        if key not in a or key not in b or a[key] != b[key]:
+            return key, a.get(key), b.get(key)
+    return None
 
 
 def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The run folder: what a finished, interrupted or failed run leaves behind.
 
     config.yaml  environment.json  history.csv  metrics.json  predictions.npz  checkpoint/  figures/*.png
-    report.html  DONE
+    report.html  DONE           a job of a sweep that failed: FAILED, and traceback.txt where the cause is unknown
 
 Files of numbers and text are written under a temporary name and renamed; `DONE` is written last, so a folder without
 it holds a run that has not finished.
@@ -44,14 +44,28 @@ class RunFolder:
     def finished(self) -> bool:
         return (self.path / "DONE").exists()
 
-    def begin(self, config_text: str, *, command: str | None, data: Mapping[str, str]) -> None:
+    @property
+    def has_checkpoint(self) -> bool:
+        return self.checkpoint.is_dir() and any(path.name.isdigit() for path in self.checkpoint.iterdir())
+
+    def begin(
+        self,
+        config_text: str,
+        *,
+        command: str | None,
+        data: Mapping[str, str],
+        choices: Mapping[str, str | None] | None = None,
+    ) -> None:
         """Writes what is known before training: configuration, environment, command, and where the data came from.
 
         The results of an earlier run in this folder go first: from here on the run is unfinished. command None: a
-        resumed run, whose environment and command stay on record.
+        resumed run, whose environment and command stay on record. choices: names of the configuration's files, where
+        there were any.
         """
         for name in (
             "DONE",
+            "FAILED",
+            "traceback.txt",
             "metrics.json",
             "predictions.npz",
             "history.csv",
@@ -63,7 +77,12 @@ class RunFolder:
         shutil.rmtree(self.figures, ignore_errors=True)
         self.write_text("config.yaml", config_text)
         if command is not None:
-            self.write_json("environment.json", {**environment(), "command": command, "data": data})
+            found = {**environment(), "command": command, "data": data, "choices": choices or {}}
+            self.write_json("environment.json", found)
+
+    def choices(self) -> dict[str, str | None]:
+        """The names of the configuration's files, as the run began with them; empty where none are on record."""
+        return json.loads((self.path / "environment.json").read_text(encoding="utf-8")).get("choices", {})
 
     def check_data(self, data: Mapping[str, str]) -> None:
         """Raises `ValueError` when the run in this folder was made from other data than `data`."""
@@ -89,6 +108,21 @@ class RunFolder:
 
     def finish(self) -> None:
         self.write_text("DONE", "")
+
+    def fail(self, reason: str, trace: str | None = None) -> None:
+        """Leaves the reason, one sentence, and the traceback of a failure that nobody expected."""
+        if trace is not None:
+            self.write_text("traceback.txt", trace)
+        self.write_text("FAILED", f"{reason}\n")
+
+    @property
+    def failure(self) -> str | None:
+        path = self.path / "FAILED"
+        return path.read_text(encoding="utf-8").strip() if path.exists() else None
+
+    def forget_failure(self) -> None:
+        for name in ("FAILED", "traceback.txt"):
+            (self.path / name).unlink(missing_ok=True)
 
     def _replace(self, name: str, write: Callable[[Path], object]) -> None:
         self.path.mkdir(parents=True, exist_ok=True)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from small import small_fit
+from toys import quick_jit
 
 from pgrssnn_jax.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.entry import stop_signal
@@ -17,7 +18,7 @@ from pgrssnn_jax.training import Losses, Training, no_losses, train
 
 
 def begun(fit, data):
-    return jax.jit(map_members(fit.begin, Mapping()))(keys_of([Member(i, 0) for i in range(3)]), data)
+    return quick_jit(map_members(fit.begin, Mapping()))(keys_of([Member(i, 0) for i in range(3)]), data)
 
 
 def saved(state, data, losses) -> Checkpoint:

@@ -12,8 +12,8 @@ PUBLISHED = {
 }
 
 
-def test_the_ten_published_variants_and_the_physics_are_there():
-    assert set(MODELS) == PUBLISHED | {"physics_only"}
+def test_the_ten_published_variants_the_baseline_and_the_physics_are_there():
+    assert set(MODELS) == PUBLISHED | {"w_pgnn", "physics_only"}
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -53,7 +53,7 @@ def test_seeds_and_realisations_train_in_one_program():
 @pytest.mark.parametrize("path", sorted((ROOT / "conf").rglob("*.yaml")), ids=lambda path: path.stem)
 def test_every_file_opens_with_its_command_line(path):
     first = next(line for line in path.read_text().splitlines() if line != "# @package _global_")
-    assert first.startswith(("# python train.py", "# python discover.py"))
+    assert first.startswith(("# python train.py", "# python discover.py", "# python report.py"))
 
 
 @pytest.mark.parametrize("group", ["physics", "data", "fit", "discovery"])

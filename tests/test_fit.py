@@ -9,6 +9,7 @@ import optax
 import pandas as pd
 import pytest
 from small import small_fit
+from toys import quick_jit
 
 from pgrssnn_jax.fit import Fit, FitSettings, Outcome, build_optimizer
 from pgrssnn_jax.members import Mapping, Member, keys_of, map_members, select
@@ -21,7 +22,7 @@ from pgrssnn_jax.training import Losses, Training, losses_table, no_losses, trai
 
 def begin(fit: Fit, data, mapping: Mapping | None = None):
     members = [Member(seed, 0) for seed in range(len(data.last_epoch))]
-    return jax.jit(map_members(fit.begin, mapping or Mapping()))(keys_of(members), data)
+    return quick_jit(map_members(fit.begin, mapping or Mapping()))(keys_of(members), data)
 
 
 def run(
@@ -55,7 +56,7 @@ def test_one_epoch_is_one_clipped_adam_step_on_the_objective():
     fit, data = small_fit(settings=settings, members=1)
     state, one = begin(fit, data), select(data, 0)
     theta = select(state.theta, 0)
-    gradient = jax.grad(lambda t: fit.objective.on_train(t, one).total)(theta)
+    gradient = quick_jit(jax.grad(lambda t: fit.objective.on_train(t, one).total))(theta)
     norm = optax.tree.norm(gradient)
     assert norm > 1  # or clipping is not tested
     expected = jax.tree.map(lambda p, g: p - 1e-2 * (g / norm) / (jnp.abs(g / norm) + 1e-8), theta, gradient)
@@ -100,9 +101,9 @@ def test_a_member_stops_early_and_is_frozen_while_others_go_on():
     assert np.max(trained.state.epoch) > 4
 
 
-@pytest.mark.parametrize("mapping", [Mapping(), Mapping("loop"), Mapping("vmap", None, 2)], ids=str)
+@pytest.mark.parametrize("mapping", [Mapping(), Mapping("vmap", None, 2)], ids=str)
 def test_a_broken_member_fails_and_the_others_are_bit_equal(mapping):
-    fit, data = small_fit()
+    fit, data = small_fit(settings=FitSettings(epochs=20, validate_every=2, chunk_epochs=10, guard="none"))
     healthy = run(fit, data, mapping=mapping)
     state = begin(fit, data, mapping)
     broken = jax.tree.map(lambda a: a.at[1].set(jnp.nan), state.theta)
@@ -117,7 +118,7 @@ def test_a_broken_member_fails_and_the_others_are_bit_equal(mapping):
 
 
 def test_a_member_whose_loss_explodes_is_frozen_at_its_last_finite_parameters():
-    fit, data = small_fit(settings=FitSettings(epochs=10, validate_every=2, chunk_epochs=10))
+    fit, data = small_fit(settings=FitSettings(epochs=10, validate_every=2, chunk_epochs=10, guard="none"))
     # sizes that overflow float32 when squared, while every state and output stays finite
     data = data._replace(train=data.train._replace(y=_with(data.train.y, 1, 3e25)))
     trained = run(fit, data)
@@ -162,7 +163,7 @@ def test_members_trained_together_equal_members_trained_alone():
     together = run(fit, data)
     for i in range(3):
         alone_data = jax.tree.map(lambda a, i=i: a[i : i + 1], data)
-        state = jax.jit(map_members(fit.begin, Mapping()))(keys_of([Member(i, 0)]), alone_data)
+        state = quick_jit(map_members(fit.begin, Mapping()))(keys_of([Member(i, 0)]), alone_data)
         alone = run(fit, alone_data, state)
         np.testing.assert_allclose(alone.losses.train[0], together.losses.train[i], rtol=2e-3)
 

@@ -82,6 +82,12 @@ def stretches(problem: Problem, record: Record, length: int, *, folds: int, at_r
     return Signals(cut_u, cut_y, cut(weight), block, start, precision)
 
 
+def end_to_end(a: np.ndarray, pieces: int, *, axis: int = 1) -> np.ndarray:
+    """Signals of stretches, `[..., stretch, time, ...]` with stretches on `axis`, as those of sequences of `pieces`."""
+    shape = a.shape
+    return a.reshape(*shape[:axis], shape[axis] // pieces, pieces * shape[axis + 1], *shape[axis + 2 :])
+
+
 def _states(problem: Problem, filtered: Smoothed) -> tuple[Float[np.ndarray, "seq time x"], Float[np.ndarray, " x"]]:
     """States that resemble outputs or their rates, and the standard errors of these guesses."""
     names = [output.name for output in problem.physics.outputs]

@@ -31,7 +31,7 @@ from pgrssnn_jax.discovery.prove import (
 from pgrssnn_jax.discovery.search import Found, look_at, search
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup, Start
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
-from pgrssnn_jax.discovery.stretches import stretches
+from pgrssnn_jax.discovery.stretches import end_to_end, stretches
 from pgrssnn_jax.discovery.unknown import Formula, Line, flexible_problem, formula, look_beyond, spectral_line
 from pgrssnn_jax.discovery.verdict import Beyond, Judged, judge
 from pgrssnn_jax.effects.catalogue import catalogue
@@ -127,7 +127,7 @@ def discover_in(
             else:
                 found = search(problem, begun, chosen.rules, notify, partial(look_at, problem, record, **common))
         with _timed(seconds, "locate"):
-            located, x, correction = _located(problem, record, found)
+            located, x, correction = _located(problem, record, found, len(record.u) // len(uncut.u))
         with _timed(seconds, "judge"):
             beyond, told, wide = Beyond(None, None, None), None, None
             if not in_stretches:
@@ -195,24 +195,30 @@ def _cut(
 def _polished(
     problem: Problem, estimation: Record, chosen: DiscoverySettings, found: Found, settings: Settings, start: Start
 ) -> Found:
-    """The final numbers fitted to the longest stretches of all sequences; their spread over folds is what it was."""
-    every = _cut(problem, estimation, chosen, len(chosen.stretches) - 1, start, searched=False)
-    guess = Guess(found.final.estimate.active, found.final.estimate.theta, every.start)
-    ((fitted, _),) = fit_all(problem, every, [guess], settings)
-    theta = fitted.theta
+    """The final numbers fitted to ever longer stretches of all sequences; their spread over folds is what it was."""
+    theta = found.final.estimate.theta
+    for stage in range(len(chosen.stretches)):
+        every = _cut(problem, estimation, chosen, stage, start, searched=False)
+        ((fitted, _),) = fit_all(problem, every, [Guess(found.final.estimate.active, theta, every.start)], settings)
+        theta = fitted.theta
     moved = theta - np.where(np.isfinite(theta), found.final.estimate.theta, 0.0)
     folds = np.where(np.isfinite(theta), found.final.folds + moved, found.final.folds)
     estimate = found.final.estimate._replace(theta=theta)
     return found._replace(final=found.final._replace(estimate=estimate, folds=folds))
 
 
-def _located(problem: Problem, record: Signals, found: Found) -> tuple[Signals, np.ndarray, Correction]:
-    """The correction signal of the recalibrated physics on the record, or on its first stretches."""
-    few = Signals(*(a[:_LOCATED] for a in record))
+def _located(problem: Problem, record: Signals, found: Found, pieces: int) -> tuple[Signals, np.ndarray, Correction]:
+    """The correction signal of the recalibrated physics on the first sequences; pieces: stretches of each."""
+    count = pieces * max(1, _LOCATED // pieces)
+    few = Signals(*(a[:count] for a in record))
     base = found.recalibrated.estimate
-    x0, error = base.x0[:_LOCATED], base.error[:_LOCATED]
+    x0, error = base.x0[:count], base.error[:count]
     _, x = simulate(problem, few.u, base.theta[None], x0[None])
-    return few, x[0], smoothed_correction(problem, few, base.theta, x[0], x0, error, found.noise**0.5)
+    correction = smoothed_correction(problem, few, base.theta, x[0], x0, error, found.noise**0.5)
+    correction = correction._replace(mean=end_to_end(correction.mean, pieces), std=end_to_end(correction.std, pieces))
+    u, y, weight, block = (end_to_end(a, pieces, axis=0) for a in few[:4])
+    whole = Signals(u, y, weight, block, few.start[::pieces], few.precision[::pieces])
+    return whole, end_to_end(x[0], pieces, axis=0), correction
 
 
 def _test_start(

@@ -100,7 +100,9 @@ def disagreement_figure(discovery: Discovery, arrays: Arrays, *, sequence: int =
         mean = np.asarray(arrays["correction"][state, sequence], np.float64)
         std = arrays.get("correction_std")
         std = np.full(mean.shape, np.nan) if std is None else np.asarray(std[state, sequence], np.float64)
-        panels.draw_correction(ax, arrays["time_train"], mean, std, str(discovery["states"][state]["name"]), unit)
+        panels.draw_correction(
+            ax, arrays["time_train"][: len(mean)], mean, std, str(discovery["states"][state]["name"]), unit
+        )
     panels.shade(ax, intervals)
     handles: list[Artist] = [*_stages(*COLOURS)]
     if state is not None:

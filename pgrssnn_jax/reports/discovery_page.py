@@ -12,12 +12,12 @@ from typing import Any
 
 from pgrssnn_jax.reports import content, markup
 from pgrssnn_jax.reports import discovery_summary as summary
-from pgrssnn_jax.reports.content import MISSING, Number, plus_minus, rounded
+from pgrssnn_jax.reports.content import MISSING, Number, rounded
 from pgrssnn_jax.reports.discovery_figures import DISCOVERY_CAPTIONS
 from pgrssnn_jax.reports.discovery_summary import Discovery, percent, real
-from pgrssnn_jax.reports.markup import number
-from pgrssnn_jax.reports.page import POLICY, reproduce, shown_figure
-from pgrssnn_jax.reports.stylesheet import STYLESHEET
+from pgrssnn_jax.reports.frame import cards, document, index, shown_figure
+from pgrssnn_jax.reports.markup import number, value
+from pgrssnn_jax.reports.page import reproduce
 
 SHOWN_ROWS = 15
 
@@ -44,7 +44,6 @@ def discovery_page(
     titles = [f"Figure {k}. {title}" for k, title in enumerate(figures, 1)]
     links = {"found": "What was found", **{f"figure-{k}": title for k, title in enumerate(titles, 1)}}
     links |= {"numbers": "Numbers", "reproduce": "Reproduce"}
-    index = "".join(f'<li><a href="#{anchor}">{escape(text)}</a></li>' for anchor, text in links.items())
     pictures = "".join(
         shown_figure(
             f"figure-{k}", "", markup.image(path, title), f"Figure {k}. {title}", DISCOVERY_CAPTIONS.get(title, "")
@@ -54,29 +53,15 @@ def discovery_page(
     sections = [
         _header(discovery),
         _cards(discovery),
-        f'<nav aria-label="Contents"><ul>{index}</ul></nav>\n',
+        index(links),
         _found(discovery),
         f"<h2>Figures</h2>\n{pictures}" if pictures else "",
         _numbers(discovery),
         reproduce(config_text, environment),
     ]
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<title>{escape(content.heading(summary.as_metrics(discovery)))}</title>
-<style>{STYLESHEET}{DISCOVERY_STYLESHEET}</style>
-</head>
-<body>
-<main>
-{"".join(sections)}
-<footer>Made by pgrssnn_jax from discovery.json and discovery.npz of this run folder.</footer>
-</main>
-</body>
-</html>
-"""
+    title = content.heading(summary.as_metrics(discovery))
+    footer = "Made by pgrssnn_jax from discovery.json and discovery.npz of this run folder."
+    return document(title, sections, footer, DISCOVERY_STYLESHEET)
 
 
 def _header(discovery: Discovery) -> str:
@@ -96,11 +81,6 @@ def _header(discovery: Discovery) -> str:
 
 def _share(value: Any) -> str:
     return MISSING if value is None else number(value, percent(value))
-
-
-def _value(value: float, std: float) -> str:
-    spread = plus_minus(value, std).partition(" ± ")[2]
-    return number(value) + (f" ± {number(std, spread)}" if spread else "")
 
 
 def _cards(discovery: Discovery) -> str:
@@ -123,11 +103,7 @@ def _cards(discovery: Discovery) -> str:
     if seconds:
         phases = ", ".join(f"{name} {content.duration(value)}" for name, value in seconds.items() if name != "total")
         items.append(("time", number(seconds.get("total"), content.duration(seconds.get("total"))), phases))
-    cards = (
-        f'<div class="card"><dt>{escape(name)}</dt><dd>{value}<small>{escape(note)}</small></dd></div>'
-        for name, value, note in items
-    )
-    return f'<dl class="cards">{"".join(cards)}</dl>\n'
+    return cards(items)
 
 
 def _found(discovery: Discovery) -> str:
@@ -159,7 +135,7 @@ def _found(discovery: Discovery) -> str:
 def _finding(effect: Mapping[str, Any]) -> str:
     header = ("number", "value ± std", "unit")
     rows = [
-        markup.row(header, [escape(q.name), _value(q.value, q.std), escape(q.unit or MISSING)])
+        markup.row(header, [escape(q.name), value(q.value, q.std), escape(q.unit or MISSING)])
         for q in summary.quantities(effect)
     ]
     runner = effect.get("runner_up") or {}
@@ -215,8 +191,8 @@ def _numbers(discovery: Discovery) -> str:
         [
             escape(row.name),
             number(row.before),
-            _value(row.recalibrated, row.recalibrated_std),
-            _value(row.final, row.final_std),
+            value(row.recalibrated, row.recalibrated_std),
+            value(row.final, row.final_std),
             escape(row.unit or MISSING),
             MISSING if math.isnan(row.size) else _share(row.size),
         ]

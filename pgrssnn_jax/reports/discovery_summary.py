@@ -15,6 +15,7 @@ from rich.text import Text
 
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports.content import MISSING, Metrics, Number, plus_minus, rounded
+from pgrssnn_jax.reports.tables import rich_table
 
 Discovery = Mapping[str, Any]
 
@@ -228,7 +229,9 @@ def _gap_table(discovery: Discovery) -> Table:
     metric, unit = gap_metric(discovery)
     closed = (discovery.get("gap") or {}).get("closed_fraction")
     footer = f"{percent(closed)} of the gap closed" if closed is not None else ""
-    table = _table(f"{metric}{f' in {unit}' if unit else ''}", ("physics", "train", "test", "test interval"), footer)
+    header = ("physics", "train", "test", "test interval")
+    title = f"{metric}{f' in {unit}' if unit else ''}"
+    table = rich_table(title, header, footer, words=header[:1], no_wrap=False)
     for row in gap_rows(discovery):
         span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
         name = f"{row.stage}: {row.words}"
@@ -242,16 +245,9 @@ def _shift_table(discovery: Discovery) -> list[Table]:
         return []
     more = len(rows) - SHOWN_SHIFTS
     header = ("number", "before", "refitted", "final ± std", "unit", "shift")
-    table = _table("numbers, largest shift first", header, f"{more} more on the page" if more > 0 else "")
+    footer = f"{more} more on the page" if more > 0 else ""
+    table = rich_table("numbers, largest shift first", header, footer, words=header[:1], no_wrap=False)
     for row in rows[:SHOWN_SHIFTS]:
         cells = (rounded(row.before), rounded(row.recalibrated), plus_minus(row.final, row.final_std))
         table.add_row(*map(Text, (row.name, *cells, row.unit or MISSING, percent(row.size))))
     return [table]
-
-
-def _table(title: str, header: Sequence[str], footer: str) -> Table:
-    table = Table(title=Text(title, "bold"), caption=Text(footer), box=box.SIMPLE_HEAD, collapse_padding=True)
-    table.title_justify = table.caption_justify = "left"
-    for k, name in enumerate(header):
-        table.add_column(Text(name), justify="left" if k == 0 else "right")
-    return table

@@ -10,6 +10,7 @@ from pgrssnn_jax.reports import content, tables
 from pgrssnn_jax.reports.content import MISSING, MemberRow, Metrics, Number, SummaryRow, rounded
 from pgrssnn_jax.reports.tables import OutputRow
 
+WORDS = ("status", "reason", "output", "unit", "variant", "folder", "state")  # columns that stand at the left
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -18,6 +19,12 @@ def number(value: Number | None, shown: str | None = None) -> str:
     text = str(value) if isinstance(value, int) else rounded(value)
     exact = value if value is None or isinstance(value, int) else float(value)
     return text if text == MISSING else f'<data value="{exact!r}">{escape(shown or text)}</data>'
+
+
+def value(mean: float, std: float) -> str:
+    """A number ± its deviation."""
+    spread = content.plus_minus(mean, std).partition(" ± ")[2]
+    return number(mean) + (f" ± {number(std, spread)}" if spread else "")
 
 
 def table(header: Sequence[str], rows: Sequence[str]) -> str:
@@ -89,5 +96,5 @@ def folded(title: str, text: str) -> str:
 
 
 def _cell(tag: str, inner: str, name: str) -> str:
-    words = ' class="words"' if name in ("status", "reason", "output", "unit") else ""
+    words = ' class="words"' if name in WORDS else ""
     return f"<{tag}{words}>{inner}</{tag}>"

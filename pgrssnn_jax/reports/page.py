@@ -18,11 +18,10 @@ import pandas as pd
 from pgrssnn_jax.reports import content, markup, tables
 from pgrssnn_jax.reports.content import MISSING, Metrics, rounded
 from pgrssnn_jax.reports.figures import CAPTIONS
+from pgrssnn_jax.reports.frame import cards, document, index, shown_figure
 from pgrssnn_jax.reports.markup import number
-from pgrssnn_jax.reports.stylesheet import STYLESHEET
 
 SHOWN_MEMBERS = 20
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 def write_page(
@@ -50,25 +49,8 @@ def write_page(
         _numbers(metrics, history),
         reproduce(config_text, environment),
     ]
-    title = escape(content.heading(metrics))
-    page = f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<title>{title}</title>
-<style>{STYLESHEET}</style>
-</head>
-<body>
-<main>
-{"".join(sections)}
-<footer>Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder.</footer>
-</main>
-</body>
-</html>
-"""
-    _write(Path(path), page)
+    footer = "Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder."
+    _write(Path(path), document(content.heading(metrics), sections, footer))
 
 
 def _write(path: Path, text: str) -> None:
@@ -122,7 +104,7 @@ def _cards(metrics: Metrics) -> str:
     phases = ", ".join(f"{name} {content.duration(value)}" for name, value in seconds.items() if name != "total")
     failed = f"{summary['failed']} failed"
     several = f"mean of {len(metrics['outputs'])} outputs; " if len(metrics["outputs"]) > 1 else ""
-    cards = [
+    items = [
         ("RMSE, mean ± std", mean + unit, f"median {rounded(head.median, content.unit(metrics))}"),
         ("RMSE, best", number(head.best) + unit, _best_seed(metrics)),
         ("RMSE, ensemble", number(head.ensemble) + unit, "error of the mean prediction"),
@@ -130,11 +112,7 @@ def _cards(metrics: Metrics) -> str:
         ("members finished", f"{number(summary['finished'])} / {number(summary['planned'])}", failed),
         ("time", number(seconds.get("total"), content.duration(seconds.get("total"))), phases),
     ]
-    items = (
-        f'<div class="card"><dt>{escape(name)}</dt><dd>{value}<small>{escape(note)}</small></dd></div>'
-        for name, value, note in cards
-    )
-    return f'<dl class="cards">{"".join(items)}</dl>\n'
+    return cards(items)
 
 
 def _best_seed(metrics: Metrics) -> str:
@@ -143,10 +121,8 @@ def _best_seed(metrics: Metrics) -> str:
 
 
 def _index(figures: Mapping[str, str | Path]) -> str:
-    links = [(f"figure-{k}", f"Figure {k}. {title}") for k, title in enumerate(figures, 1)]
-    links += [("numbers", "Numbers"), ("members", "Members, one by one"), ("reproduce", "Reproduce")]
-    items = "".join(f'<li><a href="#{anchor}">{escape(text)}</a></li>' for anchor, text in links)
-    return f'<nav aria-label="Contents"><ul>{items}</ul></nav>\n'
+    links = {f"figure-{k}": f"Figure {k}. {title}" for k, title in enumerate(figures, 1)}
+    return index(links | {"numbers": "Numbers", "members": "Members, one by one", "reproduce": "Reproduce"})
 
 
 def _figures(figures: Mapping[str, str | Path], animation: str) -> str:
@@ -158,12 +134,6 @@ def _figures(figures: Mapping[str, str | Path], animation: str) -> str:
         if title.startswith("Arm"):
             blocks, moving = blocks + moving, ""
     return blocks + moving
-
-
-def shown_figure(anchor: str, look: str, picture: str, title: str, caption: str) -> str:
-    named = "".join(f' {name}="{value}"' for name, value in (("id", anchor), ("class", look)) if value)
-    words = f"<strong>{escape(title)}.</strong> {escape(caption)}"
-    return f"<figure{named}>{picture}<figcaption>{words}</figcaption></figure>\n"
 
 
 def _numbers(metrics: Metrics, history: pd.DataFrame) -> str:

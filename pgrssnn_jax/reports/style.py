@@ -31,9 +31,16 @@ def label(name: str, unit: str) -> str:
 
 
 def page(width: float, body: float, metrics: Metrics, lines: Sequence[str]) -> Figure:
+    """The empty figure of a run; simulated data and missing members are said loudly."""
+    loud = ["SIMULATED DATA"] if content.simulated(metrics) else []
+    loud += [content.incomplete(metrics).upper()] if content.incomplete(metrics) else []
+    return headed(width, body, content.heading(metrics), lines, loud)
+
+
+def headed(width: float, body: float, title: str, lines: Sequence[str], loud: Sequence[str]) -> Figure:
     """An empty white figure, `width` by `body` inches below its header: title, up to two `lines`, room for a legend.
 
-    Simulated data and missing members are said loudly at the top right.
+    loud: phrases at the top right that nobody may overlook.
     """
     height = HEADER + body
     figure = Figure((width, height), dpi=150, facecolor="white")
@@ -46,12 +53,10 @@ def page(width: float, body: float, metrics: Metrics, lines: Sequence[str]) -> F
         x = 1 - MARGIN / width if right else MARGIN / width
         figure.text(x, 1 - down / height, plain(text), ha="right" if right else "left", va="top", **look)
 
-    write(False, 0.14, content.heading(metrics), fontsize=13, fontweight="bold", color=INK)
+    write(False, 0.14, title, fontsize=13, fontweight="bold", color=INK)
     letters = int((width - 2 * MARGIN) * 14.5)
     for row, line in enumerate(lines[:2]):
         write(False, 0.44 + 0.19 * row, textwrap.shorten(line, letters, placeholder=" …"), fontsize=8.5, color=QUIET)
-    loud = ["SIMULATED DATA"] if content.simulated(metrics) else []
-    loud += [content.incomplete(metrics).upper()] if content.incomplete(metrics) else []
     if loud:
         box = {"boxstyle": "round,pad=0.35", "facecolor": VERMILLION, "edgecolor": "none"}
         write(True, 0.16, "   ·   ".join(loud), fontsize=8.5, fontweight="bold", color="white", bbox=box)

@@ -1,7 +1,7 @@
 """The tables of a run, for the terminal (rich) and for Markdown; planned, finished and failed members stand below."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from rich import box
@@ -35,6 +35,7 @@ class OutputRow(NamedTuple):
 
 SUMMARY_HEADER = ("n_init", "mean", "std", "median", "best", "ensemble", "NRMSE mean")
 MEMBER_HEADER = ("seed", "dataset", "status", "best epoch", "RMSE", "NRMSE", "fit %", "CC", "reason")
+WORDS = ("status", "output", "unit")
 OUTPUT_TITLE = "test record, means over finished members"
 OUTPUT_HEADER = ("output", "unit", "RMSE", "NRMSE", "fit %", "CC")
 
@@ -92,7 +93,7 @@ def select(rows: Sequence[MemberRow], limit: int) -> Selection:
 
 def summary_table(metrics: Metrics) -> Table:
     """One row per n_init, RMSE over members and of the ensemble; the n_init of the run is bold."""
-    table = _table(
+    table = rich_table(
         f"{content.heading(metrics)} · {summary_title(metrics)}", SUMMARY_HEADER, "\n".join(_footer(metrics))
     )
     for row in content.summary_rows(metrics):
@@ -116,7 +117,7 @@ def member_table(metrics: Metrics, limit: int = 12) -> Table:
         f"reason {number[reason]}: {reason} ({count} of {len(rows)})\n" for reason, count in reasons.items()
     )
     title = f"{content.heading(metrics)} · {member_title(metrics)}"
-    table = _table(title, MEMBER_HEADER, left + spelled + "\n".join(_footer(metrics)))
+    table = rich_table(title, MEMBER_HEADER, left + spelled + "\n".join(_footer(metrics)))
     for group, style in ((shown.best, ""), (shown.worst, ""), (shown.failed, "red")):
         for row in group:
             table.add_row(*map(Text, member_cells(row)[:-1]), number.get(row.reason, MISSING), style=style)
@@ -127,7 +128,7 @@ def member_table(metrics: Metrics, limit: int = 12) -> Table:
 def output_table(metrics: Metrics) -> Table:
     """One row per output; of one output alone the other tables say as much."""
     footer = f"members: {content.counts(metrics)}\n{content.source(metrics)}"
-    table = _table(f"{content.heading(metrics)} · outputs; {OUTPUT_TITLE}", OUTPUT_HEADER, footer)
+    table = rich_table(f"{content.heading(metrics)} · outputs; {OUTPUT_TITLE}", OUTPUT_HEADER, footer)
     for row in output_rows(metrics):
         table.add_row(*map(Text, output_cells(row)))
     return table
@@ -135,10 +136,10 @@ def output_table(metrics: Metrics) -> Table:
 
 def markdown_summary(metrics: Metrics) -> str:
     """The summary table as Markdown, with the counts of members and the source of the data below it."""
-    lines = [f"### {_one_line(content.heading(metrics))}: {summary_title(metrics)}", "", _pipes(SUMMARY_HEADER)]
+    lines = [f"### {one_line(content.heading(metrics))}: {summary_title(metrics)}", "", pipes(SUMMARY_HEADER)]
     lines.append("|" + "---:|" * len(SUMMARY_HEADER))
-    lines += [_pipes(summary_cells(row)) for row in content.summary_rows(metrics)]
-    lines += ["", *(f"- {_one_line(line)}" for line in _footer(metrics)), ""]
+    lines += [pipes(summary_cells(row)) for row in content.summary_rows(metrics)]
+    lines += ["", *(f"- {one_line(line)}" for line in _footer(metrics)), ""]
     return "\n".join(lines)
 
 
@@ -150,11 +151,22 @@ def _footer(metrics: Metrics) -> list[str]:
     return lines
 
 
-def _table(title: str, header: Sequence[str], footer: str) -> Table:
+def rich_table(
+    title: str, header: Sequence[str], footer: str, *, words: Collection[str] = WORDS, no_wrap: bool = True
+) -> Table:
+    """An empty table for the terminal. words: the columns that stand at the left.
+
+    Where the terminal is too narrow, cells are broken, or with `no_wrap` cut.
+    """
     table = Table(title=Text(title, "bold"), caption=Text(footer), box=box.SIMPLE_HEAD, collapse_padding=True)
     table.title_justify = table.caption_justify = "left"
     for name in header:
-        table.add_column(Text(name), justify="left" if name in ("status", "output", "unit") else "right", no_wrap=True)
+        table.add_column(
+            Text(name),
+            justify="left" if name in words else "right",
+            no_wrap=no_wrap,
+            overflow="ellipsis" if no_wrap else "fold",
+        )
     return table
 
 
@@ -163,9 +175,10 @@ def _in_unit(metrics: Metrics) -> str:
     return f" in {unit}" if unit else ""
 
 
-def _pipes(cells: Sequence[str]) -> str:
+def pipes(cells: Sequence[str]) -> str:
+    """One row of a Markdown table."""
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
     return " ".join(text.split())
