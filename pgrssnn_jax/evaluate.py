@@ -10,7 +10,6 @@ import jax
 import numpy as np
 
 from pgrssnn_jax.fit import MemberState, Outcome
-from pgrssnn_jax.initial_state import start_state
 from pgrssnn_jax.members import Mapping, Member, map_members
 from pgrssnn_jax.metrics import all_metrics, rmse
 from pgrssnn_jax.objective import MemberData, Objective
@@ -43,8 +42,7 @@ def predict(
         model, params = objective.model, objective.assemble(state.best, data.scaling)
         start = objective.test_state(state.best, data, test)
         on_test = rollout(model, params, test.u, start, real=real_samples(test))
-        own = start_state(model, params, data.validation, objective.initial)
-        on_validation = rollout(model, params, data.validation.u, own, real=real_samples(data.validation))
+        on_validation = objective.validate(state.best, data)
         return on_test.y, on_validation.y, (on_test.first_bad == test.u.shape[1]).all(), start
 
     return Predictions(*map(np.asarray, jax.jit(map_members(one, mapping))(state, data, test)))

@@ -3,7 +3,8 @@
 zero          x_0 = 0 in physical units (the published convention)
 scaled_zero   x_0 = 0 in the networks' units, that is the states' offset (the published code, where states have one)
 first_output  states that are `like` an output take its first measured value, the others 0
-estimated     training: x_0 is trained with the weights; validation: least squares on its first n_init samples
+estimated     training: x_0 is trained with the weights; validation: least squares on its first n_init samples, or
+              none where it was measured right after the training record: the run goes on (`objective.py`)
 
 A test record that shares its initial state with the training record starts where the training record does; otherwise
 it starts from its own first output, or from the least-squares estimate over its first n_init samples alone.

@@ -23,7 +23,7 @@ from pgrssnn_jax.initial_state import InitialState, first_output_states, start_s
 from pgrssnn_jax.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Parameter, is_parameter
 from pgrssnn_jax.radial import scarcity, surrogate_points
-from pgrssnn_jax.records import Array, Record, real_samples
+from pgrssnn_jax.records import Array, Record, continues, real_samples
 from pgrssnn_jax.rollout import Route, Trajectory, rollout
 from pgrssnn_jax.scaling import Scaling
 
@@ -103,14 +103,25 @@ class Objective(NamedTuple):
 
     def on_train(self, theta: Trainable, data: MemberData) -> Loss:
         params = self.assemble(theta, data.scaling)
-        loss, predicted = self._loss(params, data.train, self._train_state(theta, params, data))
+        predicted = self._predicted(params, data.train, self._train_state(theta, params, data))
+        loss = _loss(params, data.train, predicted)
         if not (self.model.spec.regularisation and self.model.spec.guided):
             return loss
         return loss._replace(total=loss.total + self._penalty(params, data.train, predicted.x))
 
     def on_validation(self, theta: Trainable, data: MemberData) -> Loss:
-        params = self.assemble(theta, data.scaling)
-        return self._loss(params, data.validation, start_state(self.model, params, data.validation, self.initial))[0]
+        return _loss(self.assemble(theta, data.scaling), data.validation, self.validate(theta, data))
+
+    def validate(self, theta: Trainable, data: MemberData) -> Trajectory:
+        """The free run over the validation record. Where starts are estimated, one that was measured right after the
+        training record needs none: the run over the training record goes on."""
+        params, record = self.assemble(theta, data.scaling), data.validation
+        if self.initial.kind != "estimated" or not continues(data.train, record):
+            return self._predicted(params, record, start_state(self.model, params, record, self.initial))
+        before = data.train.u.shape[1]
+        u = jnp.concatenate([jnp.asarray(data.train.u), jnp.asarray(record.u)], 1)
+        whole = rollout(self.model, params, u, self._train_state(theta, params, data), route=self.route)
+        return Trajectory(whole.y[:, before:], whole.x[:, before:], jnp.maximum(whole.first_bad - before, 0))
 
     def test_state(self, theta: Trainable, data: MemberData, test: Record) -> Float[Array, "seq x"]:
         """x_0 of the test sequences: the training record's where the benchmark says that it is shared."""
@@ -125,14 +136,8 @@ class Objective(NamedTuple):
             return start_state(self.model, params, data.train, self.initial)
         return params.scaling.x.to_physical(theta.x0)
 
-    def _loss(self, params: ModelParams, record: Record, x0: jax.Array) -> tuple[Loss, Trajectory]:
-        predicted = rollout(self.model, params, record.u, x0, route=self.route, real=real_samples(record))
-        y = params.scaling.y
-        error = jnp.where(record.mask, y.to_scaled(record.y) - y.to_scaled(predicted.y), 0.0)
-        squares = jnp.sum(error**2)
-        n_seq, time = record.u.shape[:2]
-        finite = jnp.all(predicted.first_bad == time)
-        return Loss(squares / n_seq, squares / jnp.sum(record.mask), finite), predicted
+    def _predicted(self, params: ModelParams, record: Record, x0: jax.Array) -> Trajectory:
+        return rollout(self.model, params, record.u, x0, route=self.route, real=real_samples(record))
 
     def _penalty(self, params: ModelParams, record: Record, x: jax.Array) -> Float[jax.Array, ""]:
         """The weighted regularisation of a fed-back model that predicts the states x `[seq, time, x]` of a record."""
@@ -149,6 +154,14 @@ class Objective(NamedTuple):
         g_nn = networks.g_nn(points[:, n_u:], points[:, :n_u])
         squares = jnp.sum(f_nn**2, -1) + jnp.sum(g_nn**2, -1)
         return self.model.spec.regularisation * u.shape[1] * jnp.mean(weight * squares)
+
+
+def _loss(params: ModelParams, record: Record, predicted: Trajectory) -> Loss:
+    y = params.scaling.y
+    error = jnp.where(record.mask, y.to_scaled(record.y) - y.to_scaled(predicted.y), 0.0)
+    squares = jnp.sum(error**2)
+    n_seq, time = record.u.shape[:2]
+    return Loss(squares / n_seq, squares / jnp.sum(record.mask), jnp.all(predicted.first_bad == time))
 
 
 def build_objective(

@@ -124,11 +124,17 @@ def crop(whole: Record, start: int, stop: int) -> Record:
     )
 
 
-def join(first: Record, second: Record) -> Record:
-    """Two records of `[seq, time, channel]` as one: in time where the second begins where the first ends, else as
-    further sequences, padded at their ends to equal length."""
+def continues(first: Record, second: Record) -> bool:
+    """Is the second record, of one sequence, what was measured right after the first?"""
     same = replace(first.info, begins=0) == replace(second.info, begins=0)
-    if len(first.u) == len(second.u) == 1 and same and second.info.begins == first.info.begins + first.u.shape[1]:
+    after = second.info.begins == first.info.begins + first.u.shape[1]
+    return len(first.u) == len(second.u) == 1 and same and after
+
+
+def join(first: Record, second: Record) -> Record:
+    """Two records of `[seq, time, channel]` as one: in time where the second continues the first, else as further
+    sequences, padded at their ends to equal length."""
+    if continues(first, second):
         u, y, mask = (np.concatenate(pair, 1) for pair in zip(first[:3], second[:3], strict=True))
         return Record(u, y, mask, first.info)
     longest = max(first.u.shape[1], second.u.shape[1])

@@ -8,6 +8,8 @@ from pathlib import Path
 import jax
 import pytest
 
+import pgrssnn_jax  # noqa: F401  sets flags of the compiler, which count before the first computation only
+
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_num_cpu_devices", 2)
 

@@ -79,17 +79,17 @@ def look_linear(
         if guess.active[-1] not in promised or left < promised[guess.active[-1]][0]:
             promised[guess.active[-1]] = (left, guess)
     falls = np.sort(falls)
-    found = []
-    for i, (name, (left, guess)) in enumerate(sorted(promised.items(), key=lambda item: item[1][0])):
-        promise = Candidate(name, (at_best - left) / cost, None, guess)
-        if i >= _FINALISTS or chance(falls, promise.gain) > _HOPELESS:
-            found.append(promise)
-            continue
-        ((fitted, reached),) = fit_all(problem, signals, [guess], settings)
-        places = np.concatenate([own, [p for p in problem.of(name) if np.isfinite(fitted.theta[p])]]).astype(int)
+    ranked = sorted(promised.items(), key=lambda item: item[1][0])
+    promises = [Candidate(name, (at_best - left) / cost, None, guess) for name, (left, guess) in ranked]
+    hopeful = [c for c in promises[:_FINALISTS] if chance(falls, c.gain) <= _HOPELESS]
+    found = promises[_FINALISTS:] + [c for c in promises[:_FINALISTS] if chance(falls, c.gain) > _HOPELESS]
+    fits = fit_all(problem, signals, [c.guess for c in hopeful], settings)
+    for promise, (fitted, reached) in zip(hopeful, fits, strict=True):
+        more = problem.of(promise.name)
+        places = np.concatenate([own, more[np.isfinite(fitted.theta[more])]])
         validated = _validated(problem, signals, fitted, places)
         error = _free_run(problem, whole, fitted)
-        found.append(Candidate(name, 1.0 - reached / cost, validated, fitted, error))
+        found.append(Candidate(promise.name, 1.0 - reached / cost, validated, fitted, error))
     ordered = tuple(sorted(found, key=lambda c: (c.cost, -c.gain)))
     tried = [reference, *(c.validated for c in ordered if c.validated)]
     return Stage(reference, ordered, falls, {}, *size_and_noise(signals, tried), _free_run(problem, whole, base))
