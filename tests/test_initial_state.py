@@ -13,7 +13,8 @@ from pgrssnn_jax.networks import ModelSpec
 from pgrssnn_jax.objective import build_objective
 from pgrssnn_jax.physics.base import Signal
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records import cast
+from pgrssnn_jax.records import cast, crop
+from pgrssnn_jax.rollout import rollout
 
 
 def alone(samples: int = 60):
@@ -119,3 +120,30 @@ def test_impossible_settings_are_named():
         InitialState("estimated")
     with pytest.raises(ValueError, match="n_init: expected 0 or more"):
         InitialState("zero", n_init=-1)
+
+
+def test_a_validation_record_goes_on_from_the_training_record():
+    """Cut from one record, its run is the tail of the run over both; from another record its start is estimated."""
+    initial = InitialState("estimated", n_init=10, shared=True)
+    fit, data = small_fit(initial=initial, members=1)
+    one = select(data, 0)
+    whole = cast(simulated(cascaded_tanks(), samples=80, seed=3), np.float32)
+    cut = one._replace(train=crop(whole, 0, 48), validation=crop(whole, 48, 80))
+    theta = fit.objective.begin(jax.random.key(0), cut)
+    params = fit.objective.assemble(theta, cut.scaling)
+    expected = rollout(fit.objective.model, params, whole.u, fit.objective.test_state(theta, cut, cut.validation))
+    found = fit.objective.validate(theta, cut)
+    np.testing.assert_allclose(found.y, expected.y[:, 48:], rtol=1e-6)
+    assert found.first_bad == 32
+    elsewhere = cut._replace(validation=crop(whole, 47, 79))
+    assert not np.allclose(fit.objective.validate(theta, elsewhere).y[:, 1:], found.y[:, :-1], atol=1e-4)
+
+
+def test_a_run_that_failed_before_the_validation_record_has_failed_there():
+    fit, data = small_fit(initial=InitialState("estimated", n_init=10), members=1)
+    whole = cast(simulated(cascaded_tanks(), samples=80, seed=3), np.float32)
+    cut = select(data, 0)._replace(train=crop(whole, 0, 48), validation=crop(whole, 48, 80))
+    theta = fit.objective.begin(jax.random.key(0), cut)
+    lost = theta._replace(x0=jnp.full_like(theta.x0, jnp.nan))
+    assert fit.objective.validate(lost, cut).first_bad == 0
+    assert not fit.objective.on_validation(lost, cut).finite

@@ -1,0 +1,87 @@
+"""Bounded linear steps against scipy, stretches laid end to end, and the local polynomial against a known motion."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from pgrssnn_jax.discovery.linear import _within, _without_starts
+from pgrssnn_jax.discovery.stretches import end_to_end, smoothed
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_within_bounds_is_that_of_scipy(seed):
+    draw = np.random.default_rng(seed)
+    columns, error = draw.standard_normal((40, 5)), draw.standard_normal(40)
+    low, high = -draw.uniform(0.0, 0.1, 5), draw.uniform(0.0, 0.1, 5)
+    low[0], high[1] = -np.inf, np.inf
+    found = _within(columns.T @ columns, columns.T @ error, low, high)
+    best = lsq_linear(columns, error, (low - 1e-12, high + 1e-12)).x
+    assert np.all((found >= low - 1e-12) & (found <= high + 1e-12))
+
+    def cost(step: np.ndarray) -> float:
+        return float(((error - columns @ step) ** 2).sum())
+
+    # numbers that were put at their bounds stay there, so the optimum may be missed, but not by much
+    assert cost(found) <= cost(best) * 1.02
+    assert cost(found) <= cost(np.zeros(5))
+
+
+def test_without_bounds_it_is_least_squares():
+    draw = np.random.default_rng(0)
+    columns, error = draw.standard_normal((30, 4)), draw.standard_normal(30)
+    found = _within(columns.T @ columns, columns.T @ error, np.full(4, -np.inf), np.full(4, np.inf))
+    np.testing.assert_allclose(found, np.linalg.lstsq(columns, error, rcond=None)[0], rtol=1e-6)
+
+
+def test_a_column_of_nothing_moves_nothing():
+    normal, pull = np.diag([2.0, 0.0]), np.array([1.0, 0.0])
+    np.testing.assert_allclose(_within(normal, pull, np.full(2, -np.inf), np.full(2, np.inf)), [0.5, 0.0], atol=1e-6)
+
+
+def test_starts_are_eliminated_as_by_one_large_fit():
+    """Two stretches with their own starts and a prior on these, against the stacked least-squares problem."""
+    draw = np.random.default_rng(1)
+    columns, starts = draw.standard_normal((2, 12, 3)), draw.standard_normal((2, 12, 2))
+    error, precision, off = (
+        draw.standard_normal((2, 12)),
+        np.array([[4.0, 0.0], [1.0, 9.0]]),
+        draw.standard_normal((2, 2)),
+    )
+    rest, pull, energy = _without_starts(precision, off, columns, starts, error)
+    normal = np.einsum("snk,snl->kl", columns, rest)
+    step = np.linalg.solve(normal, pull.sum(0))
+    rows, right = [], []
+    for s in range(2):
+        local = np.zeros((12, 4))
+        local[:, 2 * s : 2 * s + 2] = starts[s]
+        rows.append(np.hstack([columns[s], local]))
+        right.append(error[s])
+        prior = np.zeros((2, 7))
+        prior[:, 3 + 2 * s : 5 + 2 * s] = np.diag(np.sqrt(precision[s]))
+        rows.append(prior)
+        right.append(np.sqrt(precision[s]) * off[s])
+    whole, aim = np.vstack(rows), np.concatenate(right)
+    best = np.linalg.lstsq(whole, aim, rcond=None)[0]
+    np.testing.assert_allclose(step, best[:3], rtol=1e-5)
+    left = ((aim - whole @ best) ** 2).sum()
+    np.testing.assert_allclose(energy.sum() - pull.sum(0) @ step, left, rtol=1e-5)
+
+
+def test_stretches_end_to_end_are_the_sequences_again():
+    whole = np.arange(2 * 12 * 3).reshape(2, 12, 3)
+    pieces = whole.reshape(2 * 4, 3, 3)
+    np.testing.assert_array_equal(end_to_end(pieces, 4, axis=0), whole)
+    np.testing.assert_array_equal(end_to_end(np.stack([pieces, -pieces]), 4), np.stack([whole, -whole]))
+
+
+def test_a_local_polynomial_finds_position_rate_and_noise():
+    draw, dt = np.random.default_rng(2), 0.1
+    time = dt * np.arange(400)
+    motion = np.sin(0.5 * time)[None, :, None]
+    found = smoothed(motion + 0.02 * draw.standard_normal(motion.shape), dt)
+    inside = slice(20, -20)
+    assert found.noise[0] == pytest.approx(0.02, rel=0.15)
+    off = found.value[0, inside, 0] - motion[0, inside, 0]
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(found.value_error[0], rel=0.4)
+    rate = found.rate[0, inside, 0] - 0.5 * np.cos(0.5 * time[inside])
+    assert np.sqrt(np.mean(rate**2)) == pytest.approx(found.rate_error[0], rel=0.4)
