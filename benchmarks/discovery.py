@@ -114,6 +114,11 @@ def _closed(found: Discovery, case: Case) -> float:
     return (found.test.recalibrated.error - found.test.after.error) / gap if gap > 0 else float("nan")
 
 
+def _percent(share: float) -> str:
+    """A dash where there was no gap to close."""
+    return "–" if np.isnan(share) else f"{100 * share:.0f} %"
+
+
 def _line(row: dict[str, Any]) -> str:
     mark = "right" if row["right"] else "WRONG"
     truth, removed = " + ".join(row["truth"]) or "none", " (removed)" if row["removed"] else ""
@@ -121,7 +126,7 @@ def _line(row: dict[str, Any]) -> str:
     more = f"; sindy {row['sindy']}" if "sindy" in row else ""
     return (
         f"{mark} {row['system']} {row['seed']} noise {row['noise']:g}: {truth}{removed} -> {said}; "
-        f"closed {100 * row['closed']:.0f} %, {row['seconds']:.1f} s{more}"
+        f"closed {_percent(row['closed'])}, {row['seconds']:.1f} s{more}"
     )
 
 
@@ -131,7 +136,8 @@ def _table(rows: Sequence[dict[str, Any]], system: str) -> Table:
         own = [row for row in rows if row["kind"] == kind]
         if own:
             first = sum(bool(row["names"]) and row["names"][0] in row["truth"] for row in own)
-            closed = f"{100 * np.nanmedian([row['closed'] for row in own]):.0f} %"
+            gaps = [row["closed"] for row in own if not np.isnan(row["closed"])]
+            closed = _percent(float(np.median(gaps)) if gaps else float("nan"))
             seconds = f"{np.median([row['seconds'] for row in own]):.1f}"
             table.add_row(kind, str(len(own)), str(sum(row["right"] for row in own)), str(first), closed, seconds)
     return table
