@@ -65,7 +65,7 @@ def look_linear(
     own = np.concatenate([problem.of(name) for name in (None, *base.active)])
     own = own[np.isfinite(base.theta[own])]
     fold = signals.block[:, 0]
-    reference = _validated(problem, signals, base, own)
+    reference = left_out(problem, signals, base, own)
     noise = surrogates(reference.estimate.error, min(rules.draws, _DRAWS), rng).astype(np.float32)
     noise = noise.reshape(len(noise), len(fold), -1)
     energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
@@ -87,7 +87,7 @@ def look_linear(
     for promise, (fitted, reached) in zip(hopeful, fits, strict=True):
         more = problem.of(promise.name)
         places = np.concatenate([own, more[np.isfinite(fitted.theta[more])]])
-        validated = _validated(problem, signals, fitted, places)
+        validated = left_out(problem, signals, fitted, places)
         error = _free_run(problem, whole, fitted)
         found.append(Candidate(promise.name, 1.0 - reached / cost, validated, fitted, error))
     ordered = tuple(sorted(found, key=lambda c: (c.cost, -c.gain)))
@@ -95,8 +95,8 @@ def look_linear(
     return Stage(reference, ordered, falls, {}, *size_and_noise(signals, tried), _free_run(problem, whole, base))
 
 
-def _validated(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray) -> Validated:
-    """Left-out errors of a fitted model by its own linearisation."""
+def left_out(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray) -> Validated:
+    """Left-out errors of a fitted model, and its numbers without each fold, by its own linearisation."""
     (reduced,) = _linearised(problem, signals, fitted, [places], places)
     _, held_out, folds = _solve(reduced, signals.block[:, 0])
     theta = np.repeat(fitted.theta[None], len(folds), 0)

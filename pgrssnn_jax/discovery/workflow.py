@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.linear import look_linear
+from pgrssnn_jax.discovery.linear import left_out, look_linear
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, signals
 from pgrssnn_jax.discovery.prove import (
@@ -195,16 +195,21 @@ def _cut(
 def _polished(
     problem: Problem, estimation: Record, chosen: DiscoverySettings, found: Found, settings: Settings, start: Start
 ) -> Found:
-    """The final numbers fitted to ever longer stretches of all sequences; their spread over folds is what it was."""
-    theta = found.final.estimate.theta
+    """The final numbers fitted to ever longer stretches of all sequences. Their spread over folds is that on the
+    shortest: of the longest a few whose sensitivities grow without limit decide, and would make it far too small."""
+    active, theta = found.final.estimate.active, found.final.estimate.theta
+    places = np.concatenate([problem.of(name) for name in (None, *active)])
+    places = places[np.isfinite(theta[places])]
+    spread = np.zeros((1, len(theta)))
     for stage in range(len(chosen.stretches)):
         every = _cut(problem, estimation, chosen, stage, start, searched=False)
-        ((fitted, _),) = fit_all(problem, every, [Guess(found.final.estimate.active, theta, every.start)], settings)
+        ((fitted, _),) = fit_all(problem, every, [Guess(active, theta, every.start)], settings)
         theta = fitted.theta
-    moved = theta - np.where(np.isfinite(theta), found.final.estimate.theta, 0.0)
-    folds = np.where(np.isfinite(theta), found.final.folds + moved, found.final.folds)
+        if stage == 0:
+            folds = left_out(problem, every, fitted, places).folds
+            spread = np.where(np.isfinite(theta), folds - np.where(np.isfinite(theta), folds, 0.0).mean(0), 0.0)
     estimate = found.final.estimate._replace(theta=theta)
-    return found._replace(final=found.final._replace(estimate=estimate, folds=folds))
+    return found._replace(final=found.final._replace(estimate=estimate, folds=theta + spread))
 
 
 def _located(problem: Problem, record: Signals, found: Found, pieces: int) -> tuple[Signals, np.ndarray, Correction]:
