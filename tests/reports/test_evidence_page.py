@@ -6,7 +6,7 @@ import re
 import pytest
 from evidence_samples import begin_run, fail_run, spread_over, write_run
 from matplotlib.figure import Figure
-from test_report_page import CHROMIUM, Reader, browse
+from test_report_page import CHROMIUM, Reader, assert_no_wider_than_its_window
 
 from pgrssnn_jax.reports.evidence_collect import collect
 from pgrssnn_jax.reports.evidence_page import evidence_page
@@ -95,12 +95,4 @@ def test_a_good_report_has_no_banner(tmp_path):
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_nothing_is_wider_than_a_small_window(tmp_path, sweep):
     _, _, page = made(tmp_path, sweep)
-    probe = "<script>document.body.dataset.width = document.documentElement.scrollWidth + ' ' + innerWidth</script>"
-    allowed = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page).replace(
-        "</body>", f"{probe}</body>"
-    )
-    (tmp_path / "probe.html").write_text(allowed, encoding="utf-8")
-    dom = browse(tmp_path, "--dump-dom", "--window-size=500,900", f"file://{tmp_path}/probe.html")
-    found = re.search(r'data-width="(\d+) (\d+)"', dom)
-    assert found is not None
-    assert int(found[1]) <= int(found[2])
+    assert_no_wider_than_its_window(tmp_path, page)

@@ -181,6 +181,18 @@ def browse(folder: Path, *arguments: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
 
 
+def assert_no_wider_than_its_window(folder, page):
+    probe = "<script>document.body.dataset.width = document.documentElement.scrollWidth + ' ' + innerWidth</script>"
+    allowed = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page).replace(
+        "</body>", f"{probe}</body>"
+    )
+    (folder / "probe.html").write_text(allowed, encoding="utf-8")
+    dom = browse(folder, "--dump-dom", "--window-size=500,900", f"file://{folder}/probe.html")
+    found = re.search(r'data-width="(\d+) (\d+)"', dom)
+    assert found is not None
+    assert int(found[1]) <= int(found[2])
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_a_browser_shows_it_and_nothing_overflows(tmp_path):
     run = lgssm(members=30, samples=1600, failed=(2,))
@@ -193,13 +205,4 @@ def test_a_browser_shows_it_and_nothing_overflows(tmp_path):
     pixels = imread(tmp_path / "shot.png")[..., :3]
     assert pixels.shape[:2] == (1600, 1200)
     assert np.var(pixels) > 0
-
-    probe = "<script>document.body.dataset.width = document.documentElement.scrollWidth + ' ' + innerWidth</script>"
-    allowed = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page).replace(
-        "</body>", f"{probe}</body>"
-    )
-    (tmp_path / "probe.html").write_text(allowed, encoding="utf-8")
-    dom = browse(tmp_path, "--dump-dom", "--window-size=500,900", f"file://{tmp_path}/probe.html")
-    found = re.search(r'data-width="(\d+) (\d+)"', dom)
-    assert found is not None
-    assert int(found[1]) <= int(found[2])
+    assert_no_wider_than_its_window(tmp_path, page)
