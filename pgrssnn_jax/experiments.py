@@ -25,7 +25,6 @@ from pgrssnn_jax.fit import MemberState
 from pgrssnn_jax.members import keys_of, map_members
 from pgrssnn_jax.plan import Plan, loose, plain, plan_training
 from pgrssnn_jax.progress import training_bar
-from pgrssnn_jax.records import take
 from pgrssnn_jax.reports.prediction import compared
 from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
 from pgrssnn_jax.reports.write import write_report
@@ -168,7 +167,7 @@ def _evaluated(
     predictions = evaluate.predict(plan.fit.objective, state, plan.data, plan.test, plan.mapping)
     predictions = evaluate.in_physical_units(predictions, plan.units)
     datasets = np.array([member.dataset for member in plan.members])
-    test, validation = take(plan.splits.test, datasets), take(plan.splits.validation, datasets)
+    test, validation = plan.measured.test, plan.measured.validation
     rows = evaluate.member_rows(
         plan.members, state, predictions, validation=validation, test=test, n_inits=plan.report_n_init
     )
@@ -186,7 +185,7 @@ def _evaluated(
         "source": info.source,
         "origin": info.origin,
         "n_init": plan.report_n_init[0],
-        "n_train": plan.splits.train.u.shape[2],
+        "n_train": plan.measured.train.u.shape[2],
         "dt": physics.dt,
         "outputs": [channel._asdict() for channel in info.outputs],
         "members": rows,

@@ -113,9 +113,12 @@ class Objective(NamedTuple):
         return _loss(self.assemble(theta, data.scaling), data.validation, self.validate(theta, data))
 
     def validate(self, theta: Trainable, data: MemberData) -> Trajectory:
-        """The free run over the validation record. Where starts are estimated, one that was measured right after the
-        training record needs none: the run over the training record goes on."""
+        """The free run over the validation record. One that is the training record with other samples measured starts
+        as that does. Where starts are estimated, one that was measured right after the training record needs none: the
+        run over the training record goes on."""
         params, record = self.assemble(theta, data.scaling), data.validation
+        if record.info.same_run:
+            return self._predicted(params, record, self._train_state(theta, params, data))
         if self.initial.kind != "estimated" or not continues(data.train, record):
             return self._predicted(params, record, start_state(self.model, params, record, self.initial))
         before = data.train.u.shape[1]

@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from pgrssnn_jax import members
 from pgrssnn_jax.budget import capped
+from pgrssnn_jax.crossed import Crossing, crossed
 from pgrssnn_jax.datasets.csv import load_csv
 from pgrssnn_jax.datasets.lgssm import load_lgssm
 from pgrssnn_jax.datasets.robot import load_robot_real, load_robot_simulated
@@ -39,7 +40,7 @@ _KEYS = {
     "seed", "n_seeds", "initial_state", "n_init", "report_n_init", "resume",
 }  # fmt: skip
 _LARGEST = 1e18  # whose square is still a float32
-_NOT_OF_THE_LOADER = ("name", "published_scaling", "shared_initial_state")
+_NOT_OF_THE_LOADER = ("name", "published_scaling", "shared_initial_state", "folds", "block")
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class DataConventions:
     name: str
     published_scaling: bool = False
     shared_initial_state: bool = False
+    folds: int = 0
+    block: int = 32
 
 
 @dataclass(frozen=True)
@@ -67,8 +70,9 @@ class Seeds:
 class Plan(NamedTuple):
     """A training run before its first epoch.
 
-    splits: as measured, `[dataset, seq, time, channel]`; data and test: per member, in the units the model works on;
-    units: per member, brings predictions back to the measured units.
+    splits: as measured, `[dataset, seq, time, channel]`; measured: the same per member, where members may validate on
+    different samples; data and test: per member, in the units the model works on; units: per member, brings predictions
+    back to the measured units.
     """
 
     config: dict[str, Any]
@@ -76,6 +80,7 @@ class Plan(NamedTuple):
     mapping: members.Mapping
     members: list[members.Member]
     splits: Splits
+    measured: Splits
     data: MemberData
     test: Record
     units: Units
@@ -93,7 +98,8 @@ def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> P
         notify(model.physics.remark)
     splits = load_splits(config["data"], model.physics, notify)
     _check_records(splits, initial, model.physics)
-    published = conventions(config["data"]).published_scaling
+    said = conventions(config["data"])
+    published, crossing = said.published_scaling, Crossing(said.folds, said.block)
     rates_like_outputs = published and _has_rates(model.physics)
     standardised = published and not rates_like_outputs
     worked_on, units = standardise(splits) if standardised else (splits, measured_units(splits))
@@ -103,13 +109,16 @@ def plan_training(config: Mapping[str, Any], notify: Callable[[str], None]) -> P
         model_scaling(model, take(worked_on.train, i), rates_like_outputs=rates_like_outputs)
         for i in range(len(splits.train.u))
     ]
-    data, test = _member_data(scalings, worked_on, datasets, fit.settings.epochs)
+    measured = _per_member(splits, chosen, crossing)
+    own = _per_member(worked_on, chosen, crossing) if standardised else measured
+    data, test = _member_data(scalings, own, datasets, fit.settings.epochs)
     return Plan(
         config=dict(config),
         fit=fit,
         mapping=load_mapping(config["members"], len(chosen), data.train.u.shape[1]),
         members=chosen,
         splits=splits,
+        measured=measured,
         data=data,
         test=test,
         units=jax.tree.map(lambda a: a[datasets], units),
@@ -237,12 +246,19 @@ def _members(config: Mapping[str, Any], n_datasets: int, *, seeds_differ: bool) 
     return [members.Member(seeds.seed + i, dataset) for dataset in range(n_datasets) for i in range(count)]
 
 
-def _member_data(
-    scalings: list[Scaling], splits: Splits, datasets: np.ndarray, epochs: int
-) -> tuple[MemberData, Record]:
+def _per_member(splits: Splits, chosen: list[members.Member], crossing: Crossing) -> Splits:
+    """The records of every member."""
+    own = Splits(*(take(record, np.array([member.dataset for member in chosen])) for record in splits))
+    if not crossing.folds:
+        return own
+    train, validation = crossed(own.train, own.validation, [member.seed for member in chosen], crossing)
+    return own._replace(train=train, validation=validation)
+
+
+def _member_data(scalings: list[Scaling], own: Splits, datasets: np.ndarray, epochs: int) -> tuple[MemberData, Record]:
     """Records and scaling of every member, in float32: the precision of the networks."""
     stacked = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
-    train, validation, test = (cast(take(record, datasets), np.float32) for record in splits)
+    train, validation, test = (cast(record, np.float32) for record in own)
     last_epoch = np.full(len(datasets), epochs, np.int32)
     return MemberData(train, validation, stacked, last_epoch), test
 

@@ -30,7 +30,8 @@ class RecordInfo:
     """What the numbers of a record mean; static, so that a record passes through `jit` and `vmap`.
 
     source: `file`, `download` or `simulated`; origin: where exactly, in words; padded: sequences of unequal length were
-    filled up at their ends, after the last measured sample; begins: sample of the measured record at which it was cut.
+    filled up at their ends, after the last measured sample; begins: sample of the measured record at which it was cut;
+    same_run: a validation record that is the training record with other samples measured (`crossed.py`).
     """
 
     inputs: tuple[Channel, ...]
@@ -40,6 +41,7 @@ class RecordInfo:
     origin: str = ""
     padded: bool = False
     begins: int = 0
+    same_run: bool = False
 
 
 class Record(NamedTuple):

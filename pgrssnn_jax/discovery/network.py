@@ -16,7 +16,6 @@ from pgrssnn_jax import evaluate
 from pgrssnn_jax.members import keys_of, map_members
 from pgrssnn_jax.metrics import nrmse, rmse
 from pgrssnn_jax.plan import plan_training
-from pgrssnn_jax.records import take
 from pgrssnn_jax.training import no_losses, train
 
 
@@ -51,7 +50,7 @@ def _one(config: Mapping[str, Any], stop: threading.Event) -> tuple[float, float
         on_chunk=lambda state, losses, now: None, stop=stop,
     )  # fmt: skip
     together = evaluate.predict(plan.fit.objective, done.state, plan.data, plan.test, plan.mapping).test
-    measured = take(plan.splits.test, np.array([member.dataset for member in plan.members]))
+    measured = plan.measured.test
     several = measured.y.shape[-1] > 1
     shares, errors = [], []
     for i in range(len(together)):
