@@ -6,11 +6,10 @@ Means are never taken over silently missing members: planned, finished and faile
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from pgrssnn_jax.fit import MemberState, Outcome
-from pgrssnn_jax.members import Mapping, Member, map_members
+from pgrssnn_jax.members import Mapping, Member, jit_members
 from pgrssnn_jax.metrics import all_metrics, rmse
 from pgrssnn_jax.objective import MemberData, Objective
 from pgrssnn_jax.records import Array, Record, real_samples
@@ -45,7 +44,7 @@ def predict(
         on_validation = objective.validate(state.best, data)
         return on_test.y, on_validation.y, (on_test.first_bad == test.u.shape[1]).all(), start
 
-    return Predictions(*map(np.asarray, jax.jit(map_members(one, mapping))(state, data, test)))
+    return Predictions(*map(np.asarray, jit_members(one, mapping)(state, data, test)))
 
 
 def in_physical_units(predictions: Predictions, units: Units) -> Predictions:

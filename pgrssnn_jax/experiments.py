@@ -22,7 +22,7 @@ from pgrssnn_jax import evaluate
 from pgrssnn_jax.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.entry import Interrupted
 from pgrssnn_jax.fit import MemberState
-from pgrssnn_jax.members import keys_of, map_members
+from pgrssnn_jax.members import jit_members, keys_of, map_members
 from pgrssnn_jax.plan import Plan, loose, plain, plan_training
 from pgrssnn_jax.progress import training_bar
 from pgrssnn_jax.reports.prediction import compared
@@ -104,7 +104,7 @@ def train_run(
     run.begin(config_text, command=command if first is None else None, data=_origins(plan), choices=choices)
     checkpoints = CheckpointFolder(run.checkpoint)
     if first is None:
-        begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
+        begun = jit_members(plan.fit.begin, plan.mapping)(keys_of(plan.members), plan.data)
         first = Checkpoint(begun, plan.data.scaling, plan.units, no_losses(len(plan.members)))
         checkpoints.clear()
         checkpoints.save(first)  # from here on the run can be resumed, whatever ends it

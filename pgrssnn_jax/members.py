@@ -25,11 +25,21 @@ class Member(NamedTuple):
 @dataclass(frozen=True)
 class Mapping:
     """how: `vmap` within a sub-batch, or members one after another (`loop`); sub_batch: members per `vmap` (None: all);
-    devices: JAX devices over which the members are sharded."""
+    devices: JAX devices over which the members are sharded; optimisation: of machine code, 0 to 3 (None: as the
+    compiler chooses), where 0 compiles in about half the time and runs several times slower."""
 
     how: Literal["vmap", "loop"] = "vmap"
     sub_batch: int | None = None
     devices: int = 1
+    optimisation: int | None = None
+
+
+def jit_members(one: Callable[..., Any], mapping: Mapping, *, donated: int | None = None) -> jax.stages.Wrapped:
+    """`map_members`, compiled as the mapping says; donated: the argument whose memory the result takes over."""
+    level = mapping.optimisation
+    options = None if level is None else {"xla_backend_optimization_level": level}
+    given = () if donated is None else (donated,)
+    return jax.jit(map_members(one, mapping), compiler_options=options, donate_argnums=given)
 
 
 def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]:
@@ -44,6 +54,8 @@ def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]
         raise ValueError(f"members: how: expected vmap or loop, found {mapping.how!r}")
     if mapping.sub_batch is not None and mapping.sub_batch < 1:
         raise ValueError(f"members: sub_batch: expected at least 1, found {mapping.sub_batch}")
+    if mapping.optimisation not in (None, 0, 1, 2, 3):
+        raise ValueError(f"members: optimisation: expected null or 0 to 3, found {mapping.optimisation}")
 
     def on_one_device(*trees: Any) -> Any:
         if mapping.how == "loop":
@@ -98,4 +110,4 @@ def choose_mapping(n_members: int, n_sequences: int, devices: int) -> Mapping:
     """The mapping that `benchmarks/rollout.py` finds fastest: on CPUs one after another when each member already has
     a batch of sequences to multiply with (LGSSM: 31), all at once when each has a single long one (tanks)."""
     how = "loop" if n_sequences >= 8 and jax.default_backend() == "cpu" else "vmap"
-    return Mapping(how, None, min(devices, n_members))
+    return Mapping(how, devices=min(devices, n_members))

@@ -218,6 +218,7 @@ def load_mapping(group: Mapping[str, Any], n_members: int, n_sequences: int) -> 
         "how": chosen.how if group["how"] == "auto" else group["how"],
         "sub_batch": group["sub_batch"],
         "devices": chosen.devices if group["devices"] == "auto" else group["devices"],
+        "optimisation": group.get("optimisation"),  # runs of before have none
     }
     mapping = call_with(members.Mapping, settings, "members")
     members.map_members(lambda: None, mapping)  # raises for what this machine does not have

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from pgrssnn_jax.fit import Fit, FitSettings, History, MemberState, Outcome
-from pgrssnn_jax.members import Mapping, map_members
+from pgrssnn_jax.members import Mapping, jit_members
 from pgrssnn_jax.objective import MemberData
 
 
@@ -74,7 +74,7 @@ def train(
     if not jax.tree.leaves(state.theta):
         return Training(state, losses, seconds, False)
     started = time.perf_counter()
-    advance = jax.jit(map_members(fit.advance, mapping), donate_argnums=0).lower(state, data).compile()
+    advance = jit_members(fit.advance, mapping, donated=0).lower(state, data).compile()
     seconds["compile"] = time.perf_counter() - started
     started = time.perf_counter()
     while not (finished := done(state, losses, settings)) and not stop.is_set():

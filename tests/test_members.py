@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toys import quick_jit, spec, toy_model, toy_params, toy_signals
 
-from pgrssnn_jax.members import Mapping, choose_mapping, map_members, repeat, select
+from pgrssnn_jax.members import Mapping, choose_mapping, jit_members, map_members, repeat, select
 from pgrssnn_jax.rollout import rollout
 
 MAPPINGS = [
@@ -87,6 +87,19 @@ def test_devices_that_are_not_there_are_named(devices):
     assert jax.device_count() == 2
     with pytest.raises(ValueError, match=f"members: devices: expected 1 to 2, found {devices}"):
         map_members(one, Mapping(devices=devices))
+
+
+@pytest.mark.parametrize("level", [0, 3])
+def test_machine_code_that_is_optimised_less_or_more_gives_the_same_results(level):
+    expected = quick_jit(map_members(one, Mapping()))(*trees(3))
+    found = jit_members(one, Mapping(optimisation=level), donated=1)(*trees(3))
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-6)
+
+
+def test_a_level_of_optimisation_that_is_none_is_named():
+    with pytest.raises(ValueError, match="members: optimisation: expected null or 0 to 3, found 4"):
+        jit_members(one, Mapping(optimisation=4))
 
 
 def test_an_empty_sub_batch_is_named():

@@ -9,11 +9,10 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 
 from pgrssnn_jax import evaluate
-from pgrssnn_jax.members import keys_of, map_members
+from pgrssnn_jax.members import jit_members, keys_of
 from pgrssnn_jax.metrics import nrmse, rmse
 from pgrssnn_jax.plan import plan_training
 from pgrssnn_jax.training import no_losses, train
@@ -43,7 +42,7 @@ def network_shares(
 
 def _one(config: Mapping[str, Any], stop: threading.Event) -> tuple[float, float, str]:
     plan = plan_training(config, lambda line: None)
-    begun = jax.jit(map_members(plan.fit.begin, plan.mapping))(keys_of(plan.members), plan.data)
+    begun = jit_members(plan.fit.begin, plan.mapping)(keys_of(plan.members), plan.data)
     alone = evaluate.predict(plan.fit.objective, begun, plan.data, plan.test, plan.mapping).test
     done = train(
         plan.fit, plan.mapping, begun, plan.data, no_losses(len(plan.members)),
