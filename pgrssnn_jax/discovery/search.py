@@ -187,7 +187,11 @@ def look_at(
     rng: np.random.Generator,
     without: Sequence[str],
 ) -> Stage:
-    (base, _), *_ = fit_all(problem, signals, [base], settings)
+    own = problem.of(None)
+    # an effect that has just been taken out may have let the start, or the parameters, go astray
+    fresh = base._replace(x0=signals.start)
+    nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
+    base, _ = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])
     reach = reach_of(problem, signals, base)
     guesses: list[Guess] = []
     for effect in problem.effects:
@@ -197,7 +201,6 @@ def look_at(
             theta = problem.put(base.theta, effect.name, numbers)
             guesses.append(Guess((*base.active, effect.name), theta, base.x0))
     if 2 * len(guesses) <= settings.lanes:  # the same from the physics as given: the refit may have gone astray
-        own = problem.of(None)
         guesses += [g._replace(theta=_with(g.theta, own, problem.theta[own])) for g in guesses]
     fitted = fit_all(problem, signals, guesses, settings)
     best: dict[str, tuple[Guess, float]] = {}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from discovery.small_cases import choices, fine_tanks, pump, tank_record
 
-from pgrssnn_jax.discovery.estimate import Settings
+from pgrssnn_jax.discovery.estimate import Settings, fit_all
 from pgrssnn_jax.discovery.problem import build_problem, signals
 from pgrssnn_jax.discovery.prove import fitted_as_given
 from pgrssnn_jax.discovery.search import look_at, search
@@ -46,6 +46,8 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else():
         assert found.final.estimate.active == (() if name is None else (name,))
         if name is None:
             assert found.recalibrated.cost < 1.5 * found.floor
+            with jax.enable_x64(True):
+                assert_a_look_comes_back_from_a_stray_start(problem, data, start, settings, examine)
             continue
         assert found.first.candidates[0].name == name
         assert found.final.cost < 0.05 * found.recalibrated.cost
@@ -54,6 +56,21 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else():
         for key, value in numbers.items():
             assert float(params[name][key]) == pytest.approx(value, rel=0.03)
         assert float(params["k1"]) == pytest.approx(TRUE["k1"], rel=0.05)
+
+
+def assert_a_look_comes_back_from_a_stray_start(problem, data, start, settings, examine):
+    """A start or a parameter far off, as an effect that is taken out again may leave them."""
+    slow = start.theta.copy()
+    slow[problem.of(None)[0]] *= 0.1
+    level = found_by(problem, data, start, settings)
+    for astray in (start._replace(x0=start.x0 + np.array([[200.0, 0.0]])), start._replace(theta=slow)):
+        assert found_by(problem, data, astray, settings) > 10.0 * level
+        assert examine(astray).base.estimate.cost < 1.1 * level
+
+
+def found_by(problem, data, guess, settings):
+    ((_, cost),) = fit_all(problem, data, [guess], settings)
+    return cost
 
 
 A, B, C = np.array([[0.6, 0.7], [-0.1, 0.0]]), np.array([-1.1, 0.0]), np.array([0.9, -0.1])
