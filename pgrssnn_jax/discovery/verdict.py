@@ -25,6 +25,7 @@ _SHIFTED = 1.05  # ratio of the errors as given and refitted, above which parame
 _BESIDE = 0.15  # part of the gap that a correction without a name must close beside the named effects to be missed
 _AS_WELL = (0.05, -0.1)  # the same beside them, where one alone does nearly as well as all named effects together
 _INSTEAD = 0.015  # the same for one in their place: what is truly there is never beaten by it but by chance
+_REST, _VISIBLE = 0.5, 0.15  # or: part of what the named effects leave above the noise, and fall of the error energy
 _FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that then is enough
 _CERTAIN = 0.98  # probability that it is the better one
 
@@ -78,18 +79,22 @@ def _unexplained(
     def more(stage: Stage | None) -> float:
         return (found.final.cost**0.5 - stage.candidates[0].cost ** 0.5) / gap if stage and gap > 0 else -np.inf
 
-    instead = more(beyond.alone)
+    instead, left = more(beyond.alone), found.final.cost**0.5 - found.floor**0.5
     beside = _AS_WELL[0] if instead >= _AS_WELL[1] else _BESIDE
+    # where errors are far above the noise and no name helps, strongly coloured errors need less proof
+    nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
     for stage, least in ((beyond.alone, _INSTEAD), (beyond.beside, beside)):
-        if stage is None or more(stage) < least or stage.candidates[0].validated is None:
+        if stage is None or stage.candidates[0].validated is None:
             continue
         best = stage.candidates[0]
         assert best.validated is not None
-        clear = found.final.cost - best.cost >= rules.least * found.final.cost
+        fall = 1.0 - best.cost / found.final.cost
+        # names that leave errors above the noise, most of which one correction takes away, are stand-ins
+        most_of_it = more(stage) * gap >= _REST * left > 0 and fall >= _VISIBLE
+        if not (most_of_it or (more(stage) >= least and fall >= rules.least)):
+            continue
         likely = chance_better(best.validated, found.final, rng) >= _CERTAIN
-        # where errors are far above the noise and no name helps, strongly coloured errors need less proof
-        nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
-        if clear and likely and stage.p_value(best) <= (_WEAK_PROOF if nameless else rules.p_value):
+        if likely and stage.p_value(best) <= (_WEAK_PROOF if nameless or most_of_it else rules.p_value):
             return stage, best
     return None
 

@@ -22,6 +22,8 @@ from pgrssnn_jax.physics.tanks import safe_sqrt
 
 _INFINITE = float("inf")
 _FULL_SCALE = 10.0  # V
+_MEETS = 3.0  # V, where a power law and a straight line let the same flow through; the pump gain takes up any other
+_SMALL = 1e-3  # of that voltage
 
 
 def tank_effects(physics: Physics) -> tuple[Effect, ...]:
@@ -168,21 +170,21 @@ def pump_nonlinearity() -> Effect:
     return Effect(
         name,
         "Curved pump characteristic",
-        "u' = u (1 + c u / 10 V + d (u / 10 V)²)",
+        "u' = u (1 + c u / 10 V) (|u| / 3 V)^(n - 1)",
         "the flow of the pump is not proportional to its voltage",
         "input",
         {
             "curvature": Parameter("c", "", bounds=(-5.0, 5.0), neutral=0.0),
-            "third": Parameter("d", "", bounds=(-5.0, 5.0), neutral=0.0),
+            "exponent": Parameter("n", "", bounds=(0.3, 3.0), neutral=1.0),
         },
-        lambda reach: [{"curvature": np.asarray(c), "third": np.asarray(0.0)} for c in (-0.3, 0.3)],
+        lambda reach: [{"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)],
         lambda physics: on_input(physics, name, _curved),
     )
 
 
 def _curved(n: Any, u: jax.Array) -> jax.Array:
-    part = u / _FULL_SCALE
-    return u * (1.0 + n["curvature"] * part + n["third"] * part**2)
+    power = ((u / _MEETS) ** 2 + _SMALL**2) ** (0.5 * (n["exponent"] - 1.0))  # without the kink of |u| at zero
+    return u * (1.0 + n["curvature"] * u / _FULL_SCALE) * power
 
 
 def leak_tank1(dt: float) -> Effect:

@@ -29,7 +29,7 @@ def fine_tanks(
     dead: Any = 0.0,
     most: Any = INFINITE,
     curve: Any = 0.0,
-    third: Any = 0.0,
+    power: Any = 1.0,
     leak: Any = 0.0,
     bypass: Any = 0.0,
     exponent: Any = 0.5,
@@ -43,7 +43,7 @@ def fine_tanks(
     h = 4.0 / sub
     voltage = np.where(u[:, None] > 0, np.maximum(u[:, None] - dead, 0.0), u[:, None])
     voltage = np.minimum(voltage, most)
-    voltage = voltage * (1 + curve * voltage / 10 + third * (voltage / 10) ** 2)
+    voltage = voltage * (1 + curve * voltage / 10) * (np.abs(voltage) / 3.0) ** (power - 1.0)
     push = np.zeros(len(u)) if push is None else push
     numbers = (voltage[0], rim, share, rim2, leak, bypass, exponent)
     x1, x2 = (np.full(np.broadcast_shapes(*map(np.shape, numbers)), s) for s in start)

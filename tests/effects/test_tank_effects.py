@@ -20,7 +20,7 @@ CASES = {
     "tank2_overflow": ({"level": 4.0}, {"rim2": 4.0}, 0.03),
     "pump_dead_zone": ({"voltage": 1.2}, {"dead": 1.2}, 1e-3),
     "pump_saturation": ({"voltage": 3.0}, {"most": 3.0}, 1e-3),
-    "pump_nonlinearity": ({"curvature": -0.4, "third": 0.3}, {"curve": -0.4, "third": 0.3}, 1e-3),
+    "pump_nonlinearity": ({"curvature": -0.4, "exponent": 1.3}, {"curve": -0.4, "power": 1.3}, 1e-3),
     "leak_tank1": ({"rate": 0.004}, {"leak": 0.004}, 0.03),
     "bypass": ({"share": 0.3}, {"bypass": 0.3}, 0.03),
     "outlet_exponent": ({"exponent": 0.65}, {"exponent": 0.65}, 0.03),
@@ -67,7 +67,7 @@ def many(seed: int, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
 def plant() -> dict[str, np.ndarray]:
     """Levels of every case, and of none."""
     keys = sorted({key for _, numbers, _ in CASES.values() for key in numbers})
-    neutral = {"rim": np.inf, "rim2": np.inf, "most": np.inf, "exponent": 0.5}
+    neutral = {"rim": np.inf, "rim2": np.inf, "most": np.inf, "exponent": 0.5, "power": 1.0}
     rows = [numbers for _, numbers, _ in CASES.values()] + [{}]
     arrays = {key: np.array([row.get(key, neutral.get(key, 0.0)) for row in rows]) for key in keys}
     found = fine_tanks(U, START, **arrays)

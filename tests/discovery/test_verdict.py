@@ -1,0 +1,65 @@
+"""When a correction without a name outweighs the names: errors made by hand, in units of the noise."""
+
+import numpy as np
+import pytest
+
+from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
+from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
+from pgrssnn_jax.discovery.verdict import Beyond, Verdict, judge
+from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+SAMPLES, NAME = 640, "bypass"
+NOISE = np.random.default_rng(0).standard_normal((1, SAMPLES, 1))
+NOISE /= np.sqrt((NOISE**2).mean())
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    physics = cascaded_tanks()
+    return build_problem(physics, [e for e in catalogue(physics) if e.name == NAME])
+
+
+def model(problem: Problem, energy: float, active: tuple[str, ...] = ()) -> Validated:
+    """A model whose errors are the noise but for their size; energy: in units of the noise's."""
+    error = np.sqrt(energy) * NOISE
+    return Validated(Estimate(active, problem.theta, np.zeros((1, 2)), error), error, problem.theta[None])
+
+
+def verdict(problem: Problem, recalibrated: float, named: float, corrected: float, by_luck: float = 0.0) -> Verdict:
+    """Energies of the recalibrated physics, with the named effect, and with a correction beside it; by_luck: part of
+    the draws of the null that gain as much."""
+    base, final, better = (
+        model(problem, energy, active)
+        for energy, active in ((recalibrated, ()), (named, (NAME,)), (corrected, (NAME,)))
+    )
+    guess = Guess((NAME,), problem.theta, np.zeros((1, 2)))
+    correction = Candidate("lower_level by upper_level", 1.0 - corrected / named, better, guess)
+    null = np.where(np.arange(400) < 400 * by_luck, 1.0, 0.0)
+    beside = Stage(final, (correction,), null, {}, SAMPLES, 1.0)
+    nothing = Stage(base, (), null, {}, SAMPLES, 1.0)
+    found = Found(base, final, {NAME: nothing}, nothing, beside, 1.0)
+    return judge(problem, found, Beyond(beside, None, None), recalibrated * SAMPLES, Rules(), 0).verdict
+
+
+def test_a_correction_that_takes_away_most_of_what_names_leave_makes_them_stand_ins(problem):
+    assert verdict(problem, recalibrated=1e4, named=1.4, corrected=1.05) is Verdict.UNKNOWN_EFFECT
+
+
+def test_names_that_leave_nothing_but_noise_stand(problem):
+    assert verdict(problem, recalibrated=1e4, named=1.1, corrected=1.0) is Verdict.EFFECT_FOUND
+    assert verdict(problem, recalibrated=1e4, named=0.98, corrected=0.80) is Verdict.EFFECT_FOUND
+
+
+def test_names_stand_where_a_correction_takes_away_little_of_what_they_leave(problem):
+    """As on a measured rig, whose errors are never noise alone."""
+    assert verdict(problem, recalibrated=1e4, named=3.0, corrected=2.4) is Verdict.EFFECT_FOUND
+
+
+def test_a_large_part_of_the_gap_is_enough(problem):
+    assert verdict(problem, recalibrated=25.0, named=9.0, corrected=5.0) is Verdict.UNKNOWN_EFFECT
+
+
+def test_a_gain_that_luck_brings_too_changes_nothing(problem):
+    assert verdict(problem, recalibrated=1e4, named=1.4, corrected=1.05, by_luck=0.1) is Verdict.EFFECT_FOUND
