@@ -34,7 +34,7 @@ from pgrssnn_jax.settings import call_with
 _SETTINGS = {
     "replace": {}, "fixed": ["B", "Tc"], "stretches": [], "starts": 4,
     "folds": 5, "block": 32, "n_init": 50, "steps": 30, "p_value": 0.01, "share": 0.02,
-    "most": 4, "draws": 400, "seed": 0, "network_epochs": 0,
+    "most": 4, "draws": 2000, "seed": 0, "network_epochs": 0,
 }  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
+_AT_ONCE = 1_000_000  # samples of noise held in memory
 _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is rounding
 
 
@@ -38,11 +39,17 @@ def null_law(
     rng: np.random.Generator,
 ) -> Float[np.ndarray, " draw"]:
     """Relative fall of Σ (w e)² by the best candidate, one value per draw, sorted."""
-    noise = surrogates(current.error, draws, rng)
-    noise = np.where(weight > 0, noise, 0.0).reshape(draws, -1)
-    energy = np.maximum((noise**2).sum(1), 1e-300)
-    falls = [((noise @ a.basis) ** 2).sum(1) / energy for a in added if a.basis.shape[1]]
-    return np.sort(np.max(falls, 0)) if falls else np.zeros(draws)
+    bases = [a.basis for a in added if a.basis.shape[1]]
+    if not bases:
+        return np.zeros(draws)
+    law: list[np.ndarray] = []
+    at_once = max(1, _AT_ONCE // current.error.size)
+    for i in range(0, draws, at_once):
+        noise = surrogates(current.error, min(at_once, draws - i), rng)
+        noise = np.where(weight > 0, noise, 0.0).reshape(len(noise), -1)
+        energy = np.maximum((noise**2).sum(1), 1e-300)
+        law.append(np.max([((noise @ basis) ** 2).sum(1) / energy for basis in bases], 0))
+    return np.sort(np.concatenate(law))
 
 
 def what_is_added(

@@ -43,7 +43,7 @@ class Rules(NamedTuple):
     visible: float = 0.1
     finalists: int = 6
     most: int = 4
-    draws: int = 400
+    draws: int = 2000
     open: float = 0.05
     beam: int = 3
 
