@@ -23,6 +23,7 @@ from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import null_law, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
+_ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
 _AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
 
 
@@ -187,12 +188,8 @@ def look_at(
     rng: np.random.Generator,
     without: Sequence[str],
 ) -> Stage:
-    own = problem.of(None)
-    # an effect that has just been taken out may have let the start, or the parameters, go astray
-    fresh = base._replace(x0=signals.start)
-    nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
-    base, _ = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])
-    reach = reach_of(problem, signals, base)
+    ((base, cost),) = fit_all(problem, signals, [base], settings._replace(lanes=settings.devices))
+    reach, own = reach_of(problem, signals, base), problem.of(None)
     guesses: list[Guess] = []
     for effect in problem.effects:
         if effect.name in (*base.active, *without):
@@ -200,9 +197,14 @@ def look_at(
         for numbers in effect.starts(reach):
             theta = problem.put(base.theta, effect.name, numbers)
             guesses.append(Guess((*base.active, effect.name), theta, base.x0))
-    if 2 * len(guesses) <= settings.lanes:  # the same from the physics as given: the refit may have gone astray
+    if 2 * len(guesses) + 2 <= settings.lanes:  # the same from the physics as given: the refit may have gone astray
         guesses += [g._replace(theta=_with(g.theta, own, problem.theta[own])) for g in guesses]
-    fitted = fit_all(problem, signals, guesses, settings)
+    fresh = base._replace(x0=signals.start)
+    nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
+    *fitted, (afresh, low), (as_given, lower) = fit_all(problem, signals, [*guesses, fresh, nominal], settings)
+    if min(low, lower) < (1.0 - _ASTRAY) * cost:  # an effect taken out again has let the start or the parameters go
+        better = afresh if low < lower else as_given
+        return look_at(problem, signals, better, settings, rules, rng, without)
     best: dict[str, tuple[Guess, float]] = {}
     for guess, cost in fitted:
         name = guess.active[-1]
