@@ -19,7 +19,8 @@ from pgrssnn_jax.physics.base import Physics
 _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
 _LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
 _LINE_SHARE = 0.1  # of the energy of the errors
-_NEIGHBOURS = 25  # bins on either side
+_NEIGHBOURS = 25  # bins on either side, at most
+_PERIODS = 8  # in the record, at least: of fewer, slow errors and a line look alike
 
 
 class Formula(NamedTuple):
@@ -164,7 +165,7 @@ def spectral_line(signals: Signals, error: Float[np.ndarray, "seq time y"], dt: 
     driven = (np.abs(np.fft.rfft((signals.u - signals.u.mean(1, keepdims=True)) * window, axis=1)) ** 2).sum((0, 2))
     found: list[Line] = []
     for j in range(error.shape[2]):
-        k = int(np.argmax(power[2:-2, j])) + 2
+        k = int(np.argmax(power[_PERIODS:-2, j])) + _PERIODS
         share = float(power[k - 2 : k + 3, j].sum() / power[1:, j].sum())
         alone = power[k, j] > _LINE * _surroundings(power[:, j], k)
         if alone and share > _LINE_SHARE and driven[k] < _LINE * _surroundings(driven, k):
@@ -175,6 +176,6 @@ def spectral_line(signals: Signals, error: Float[np.ndarray, "seq time y"], dt: 
 
 
 def _surroundings(power: np.ndarray, k: int) -> float:
-    """Median of the neighbourhood of a bin without the line itself."""
-    near = np.r_[power[max(1, k - _NEIGHBOURS) : max(1, k - 3)], power[k + 4 : k + _NEIGHBOURS]]
-    return float(np.median(near)) if len(near) else 0.0
+    """Median of the neighbourhood of a bin, at most an octave down and up, without the line itself."""
+    low, high = max(k // 2, k - _NEIGHBOURS), min(2 * k, k + _NEIGHBOURS)
+    return float(np.median(np.r_[power[low : k - 3], power[k + 4 : high + 1]]))
