@@ -135,6 +135,13 @@ def cross_validate(problem: Problem, signals: Signals, guesses: Sequence[Guess],
     return found
 
 
+def block_sums(values: Float[np.ndarray, "seq time y"], block: int = 32) -> Float[np.ndarray, " blocks"]:
+    """Sums over outputs and over consecutive blocks of samples of every sequence."""
+    per_sample = values.sum(-1)
+    edges = np.arange(0, per_sample.shape[1], block)
+    return np.add.reduceat(per_sample, edges, axis=1).ravel()
+
+
 def reach_of(problem: Problem, signals: Signals, guess: Guess) -> Reach:
     """What the states, inputs and outputs span in the free run of a guess."""
     y, x = simulate(problem, signals.u, guess.theta[None], guess.x0[None])

@@ -15,6 +15,7 @@ from pgrssnn_jax.discovery.estimate import (
     Guess,
     Settings,
     Validated,
+    block_sums,
     cross_validate,
     fit_all,
     reach_of,
@@ -205,12 +206,7 @@ def look_at(
     if min(low, lower) < (1.0 - _ASTRAY) * cost:  # an effect taken out again has let the start or the parameters go
         better = afresh if low < lower else as_given
         return look_at(problem, signals, better, settings, rules, rng, without)
-    best: dict[str, tuple[Guess, float]] = {}
-    for guess, cost in fitted:
-        name = guess.active[-1]
-        if np.isfinite(cost) and (name not in best or cost < best[name][1]):
-            best[name] = (guess, cost)
-    ranked = sorted(best.items(), key=lambda item: item[1][1])
+    ranked = sorted(_best_of_each(problem, fitted, rules).items(), key=lambda item: item[1][1])
     finalists = [base, *(guess for _, (guess, _) in ranked[: rules.finalists])]
     validated = cross_validate(problem, signals, finalists, settings)
     energy = validated[0].estimate.cost
@@ -228,17 +224,49 @@ def look_at(
     return Stage(validated[0], tuple(candidates), law, visible, *size_and_noise(signals, validated))
 
 
+def _best_of_each(
+    problem: Problem, fitted: Sequence[tuple[Guess, float]], rules: Rules
+) -> dict[str, tuple[Guess, float]]:
+    """The best fit of every effect; one with fewer numbers (an end of a range that is not there) where another brings
+    no visible fall of the error energy, because a superfluous number stands in for what is still to be found."""
+    best: dict[str, tuple[Guess, float]] = {}
+    for guess, cost in sorted(fitted, key=lambda found: _count(problem, found[0])):
+        name = guess.active[-1]
+        if not np.isfinite(cost):
+            continue
+        now = best.get(name)
+        more = now is not None and _count(problem, guess) > _count(problem, now[0])
+        if now is None or cost < (1.0 - rules.visible * more) * now[1]:
+            best[name] = (guess, cost)
+    return best
+
+
+def _count(problem: Problem, guess: Guess) -> int:
+    """Numbers of the effect that came in last; a limit at infinity is none."""
+    return int(np.isfinite(guess.theta[problem.of(guess.active[-1])]).sum())
+
+
 def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     """The candidate that enters: of those that matter and beat the null the best in blocks left out, or a simpler one
-    that it contains and that is as good."""
+    that it contains and that is as good, or one with fewer numbers that is within a standard error of it."""
     passing = [c for c in stage.candidates if judge.matters(stage, c) and stage.p_value(c) <= judge.rules.p_value]
     if not passing:
         return None
     best = passing[0]
-    simpler = [c for c in passing if c.name in judge.problem.effect(best.name).simpler]
-    if simpler and simpler[0].cost ** 0.5 - best.cost**0.5 <= _AS_GOOD * (judge.gap + best.cost**0.5):
-        return simpler[0]
-    return best
+    as_good = [c for c in passing if c.cost**0.5 - best.cost**0.5 <= _AS_GOOD * (judge.gap + best.cost**0.5)]
+    simpler = [c for c in as_good if c.name in judge.problem.effect(best.name).simpler]
+    fewer = _count(judge.problem, best.guess)
+    leaner = [c for c in as_good if _count(judge.problem, c.guess) < fewer and _within_one_error(c, best)]
+    return next(iter((*simpler, *leaner)), best)
+
+
+def _within_one_error(one: Candidate, best: Candidate) -> bool:
+    """Is the difference in blocks left out below its standard error? Source of the rule: Hastie, Tibshirani, Friedman,
+    The Elements of Statistical Learning, 2009, section 7.10."""
+    if one.validated is None or best.validated is None:
+        return False
+    difference = block_sums(one.validated.held_out**2 - best.validated.held_out**2)
+    return bool(difference.sum() <= len(difference) ** 0.5 * difference.std(ddof=1))
 
 
 def _other_beginnings(judge: _Judge, first: Stage, current: Guess) -> Guess:

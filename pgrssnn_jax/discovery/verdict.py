@@ -11,9 +11,8 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Validated
+from pgrssnn_jax.discovery.estimate import Validated, block_sums
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
 from pgrssnn_jax.discovery.unknown import Line
@@ -75,27 +74,24 @@ def _unexplained(
     found: Found, beyond: Beyond, gap: float, rules: Rules, rng: np.random.Generator
 ) -> tuple[Stage, Candidate] | None:
     """A correction without a name that does clearly better than the named effects, in their place or beside them."""
-
-    def more(stage: Stage | None) -> float:
-        return (found.final.cost**0.5 - stage.candidates[0].cost ** 0.5) / gap if stage and gap > 0 else -np.inf
-
-    instead, left = more(beyond.alone), found.final.cost**0.5 - found.floor**0.5
-    beside = _AS_WELL[0] if instead >= _AS_WELL[1] else _BESIDE
+    left = found.final.cost**0.5 - found.floor**0.5
+    alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
+    beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
     # where errors are far above the noise and no name helps, strongly coloured errors need less proof
     nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
     for stage, least in ((beyond.alone, _INSTEAD), (beyond.beside, beside)):
-        if stage is None or stage.candidates[0].validated is None:
+        if stage is None:
             continue
-        best = stage.candidates[0]
-        assert best.validated is not None
-        fall = 1.0 - best.cost / found.final.cost
-        # names that leave errors above the noise, most of which one correction takes away, are stand-ins
-        most_of_it = more(stage) * gap >= _REST * left > 0 and fall >= _VISIBLE
-        if not (most_of_it or (more(stage) >= least and fall >= rules.least)):
-            continue
-        likely = chance_better(best.validated, found.final, rng) >= _CERTAIN
-        if likely and stage.p_value(best) <= (_WEAK_PROOF if nameless or most_of_it else rules.p_value):
-            return stage, best
+        for one in (candidate for candidate in stage.candidates if candidate.validated):
+            assert one.validated is not None
+            fall, gained = 1.0 - one.cost / found.final.cost, found.final.cost**0.5 - one.cost**0.5
+            # names that leave errors above the noise, most of which one correction takes away, are stand-ins
+            most_of_it = gained >= _REST * left > 0 and fall >= _VISIBLE
+            if not (most_of_it or (gap > 0 and gained >= least * gap and fall >= rules.least)):
+                continue
+            likely = chance_better(one.validated, found.final, rng) >= _CERTAIN
+            if likely and stage.p_value(one) <= (_WEAK_PROOF if nameless or most_of_it else rules.p_value):
+                return stage, one
     return None
 
 
@@ -123,10 +119,3 @@ def chance_better(one: Validated, other: Validated, rng: np.random.Generator, bl
     difference = block_sums(one.held_out**2 - other.held_out**2, block)
     drawn = difference[rng.integers(0, len(difference), (_RESAMPLED, len(difference)))].sum(1)
     return float((drawn < 0).mean() + 0.5 * (drawn == 0).mean())
-
-
-def block_sums(values: Float[np.ndarray, "seq time y"], block: int) -> Float[np.ndarray, " blocks"]:
-    """Sums over outputs and over consecutive blocks of samples of every sequence."""
-    per_sample = values.sum(-1)
-    edges = np.arange(0, per_sample.shape[1], block)
-    return np.add.reduceat(per_sample, edges, axis=1).ravel()
