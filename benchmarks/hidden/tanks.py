@@ -25,6 +25,7 @@ _SPREAD = 0.15
 _RANGE = (1.2, 9.3)  # V, of the lower tank's reading
 _LARGEST = 10.0  # V, of the pump
 _ACTIVE = 0.03  # share of each record in which a threshold must have been passed
+_BEYOND = 100.0  # V, which no level of a rig within its range comes near
 _TRIES = 20
 _COARSE = 2  # sub-steps where only the range of a signal counts
 
@@ -41,13 +42,19 @@ def build(
     CATALOGUE.check(truth)
     rng = streams("tanks", seed, "plant effects input start noise")
     plant = Rig(**{name: k * (1 + rng["plant"].uniform(-spread, spread)) for name, k in PUBLISHED.items()})
-    draw = {k: v for name in truth for k, v in tanks_effects.DRAWS[name](rng["effects"], plant).items()}
+
+    def drawn() -> dict[str, Any]:
+        return {k: v for name in truth for k, v in tanks_effects.DRAWS[name](rng["effects"], plant).items()}
+
+    draw = drawn()
     starts = [tuple(rng["start"].uniform(2.0, 8.0, 2).tolist()) for _ in range(2)]
     if rng["start"].random() < 0.5:
         starts[1] = starts[0]
     for _ in range(_TRIES):
         rig, inputs, found = _excited(plant, draw, _shapes(rng["input"], "u_dead" in draw), starts)
-        if _active(draw, found):
+        if not _bounded(found):
+            draw = drawn()
+        elif _active(draw, found):
             break
     clean = [reading(rig, lower) for _, lower in found]
     without = levels(plant, inputs[1], starts[1], _COARSE)[1]
@@ -128,6 +135,11 @@ def _targets(rig: Rig) -> tuple[float, float]:
 
 def _outlet(rig: Rig, x2: np.ndarray) -> np.ndarray:
     return rig.k4 * REFERENCE_LEVEL**0.5 * (x2 / REFERENCE_LEVEL) ** rig.exponent - rig.k5 * x2
+
+
+def _bounded(found: list[tuple[Wave, Wave]]) -> bool:
+    """Has no tank run away? Beyond some level a bent outlet, against which k5 works, lets through less and less."""
+    return max(level.max() for tanks in found for level in tanks) < _BEYOND
 
 
 def _active(draw: dict[str, Any], found: list[tuple[Wave, Wave]]) -> bool:
