@@ -24,7 +24,8 @@ _SHIFTED = 1.05  # ratio of the errors as given and refitted, above which parame
 _BESIDE = 0.15  # part of the gap that a correction without a name must close beside the named effects to be missed
 _AS_WELL = (0.05, -0.1)  # the same beside them, where one alone does nearly as well as all named effects together
 _INSTEAD = 0.015  # the same for one in their place: what is truly there is never beaten by it but by chance
-_REST, _VISIBLE = 0.5, 0.15  # or: part of what the named effects leave above the noise, and fall of the error energy
+_REST = 0.5  # or: part of what the named effects leave above the noise, with a fall of the error energy of at least
+_VISIBLE_INSTEAD, _VISIBLE_BESIDE = 0.04, 0.15
 _FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that then is enough
 _CERTAIN = 0.98  # probability that it is the better one
 
@@ -79,18 +80,20 @@ def _unexplained(
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
     # where errors are far above the noise and no name helps, strongly coloured errors need less proof
     nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
-    for stage, least in ((beyond.alone, _INSTEAD), (beyond.beside, beside)):
+    wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
+    for stage, least, visible in wanted:
         if stage is None:
             continue
         for one in (candidate for candidate in stage.candidates if candidate.validated):
             assert one.validated is not None
             fall, gained = 1.0 - one.cost / found.final.cost, found.final.cost**0.5 - one.cost**0.5
             # names that leave errors above the noise, most of which one correction takes away, are stand-ins
-            most_of_it = gained >= _REST * left > 0 and fall >= _VISIBLE
+            most_of_it = gained >= _REST * left > 0 and fall >= visible
             if not (most_of_it or (gap > 0 and gained >= least * gap and fall >= rules.least)):
                 continue
             likely = chance_better(one.validated, found.final, rng) >= _CERTAIN
-            if likely and stage.p_value(one) <= (_WEAK_PROOF if nameless or most_of_it else rules.p_value):
+            weak = nameless or (most_of_it and fall >= _VISIBLE_BESIDE)
+            if likely and stage.p_value(one) <= (_WEAK_PROOF if weak else rules.p_value):
                 return stage, one
     return None
 

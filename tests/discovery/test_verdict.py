@@ -27,9 +27,16 @@ def model(problem: Problem, energy: float, active: tuple[str, ...] = ()) -> Vali
     return Validated(Estimate(active, problem.theta, np.zeros((1, 2)), error), error, problem.theta[None])
 
 
-def verdict(problem: Problem, recalibrated: float, named: float, corrected: float, by_luck: float = 0.0) -> Verdict:
-    """Energies of the recalibrated physics, with the named effect, and with a correction beside it; by_luck: part of
-    the draws of the null that gain as much."""
+def verdict(
+    problem: Problem,
+    recalibrated: float,
+    named: float,
+    corrected: float,
+    by_luck: float = 0.0,
+    instead: bool = False,
+) -> Verdict:
+    """Energies of the recalibrated physics, with the named effect, and with a correction beside it or instead; by_luck:
+    part of the draws of the null that gain as much."""
     base, final, better = (
         model(problem, energy, active)
         for energy, active in ((recalibrated, ()), (named, (NAME,)), (corrected, (NAME,)))
@@ -40,11 +47,18 @@ def verdict(problem: Problem, recalibrated: float, named: float, corrected: floa
     beside = Stage(final, (correction,), null, {}, SAMPLES, 1.0)
     nothing = Stage(base, (), null, {}, SAMPLES, 1.0)
     found = Found(base, final, {NAME: nothing}, nothing, beside, 1.0)
-    return judge(problem, found, Beyond(beside, None, None), recalibrated * SAMPLES, Rules(), 0).verdict
+    beyond = Beyond(None, beside, None) if instead else Beyond(beside, None, None)
+    return judge(problem, found, beyond, recalibrated * SAMPLES, Rules(), 0).verdict
 
 
 def test_a_correction_that_takes_away_most_of_what_names_leave_makes_them_stand_ins(problem):
     assert verdict(problem, recalibrated=1e4, named=1.4, corrected=1.05) is Verdict.UNKNOWN_EFFECT
+
+
+@pytest.mark.parametrize(("instead", "expected"), [(True, Verdict.UNKNOWN_EFFECT), (False, Verdict.EFFECT_FOUND)])
+def test_less_is_enough_for_a_correction_in_the_place_of_the_names(problem, instead, expected):
+    """What is truly there is not beaten by a curve with many numbers; beside it one may find a little more."""
+    assert verdict(problem, recalibrated=1e4, named=1.08, corrected=1.01, instead=instead) is expected
 
 
 def test_names_that_leave_nothing_but_noise_stand(problem):
