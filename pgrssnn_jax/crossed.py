@@ -33,7 +33,8 @@ class Crossing:
 def crossed(train: Record, validation: Record, seeds: Sequence[int], crossing: Crossing) -> tuple[Record, Record]:
     """The records of members `[member, seq, time, channel]` with masks by their seeds.
 
-    Raises `ValueError` where the two records are not one run, or too short for every fold to have a block.
+    Raises `ValueError` where the two records are not one run, or too short for every fold to have a block, or have no
+    measured sample in a fold.
     """
     runs = []
     for member in range(len(train.u)):
@@ -51,8 +52,8 @@ def crossed(train: Record, validation: Record, seeds: Sequence[int], crossing: C
     fold = np.arange(time) // crossing.block % crossing.folds
     aside = fold == np.asarray(seeds)[:, None] % crossing.folds
     aside = aside[:, None, :, None]
-    mask = np.asarray(whole.mask)
-    return (
-        whole._replace(mask=mask & ~aside),
-        whole._replace(mask=mask & aside, info=replace(whole.info, same_run=True)),
-    )
+    seen, kept_back = (np.asarray(whole.mask) & which for which in (~aside, aside))
+    for name, mask in (("train", seen), ("validate", kept_back)):
+        if not mask.any((1, 2, 3)).all():
+            raise ValueError(f"data.folds: expected measured samples to {name} on in every fold, found one with none")
+    return whole._replace(mask=seen), whole._replace(mask=kept_back, info=replace(whole.info, same_run=True))

@@ -26,7 +26,7 @@ class Member(NamedTuple):
 class Mapping:
     """how: `vmap` within a sub-batch, or members one after another (`loop`); sub_batch: members per `vmap` (None: all);
     devices: JAX devices over which the members are sharded; optimisation: of machine code, 0 to 3 (None: as the
-    compiler chooses), where 0 compiles in about half the time and runs several times slower."""
+    compiler chooses), where 0 compiles in about half the time and runs two to four times slower."""
 
     how: Literal["vmap", "loop"] = "vmap"
     sub_batch: int | None = None

@@ -89,6 +89,14 @@ def test_a_record_that_cannot_be_shared_is_answered_with_one_sentence(more: list
         planned("+experiment=cascaded_tank", "data.generated=true", *more)
 
 
+def test_a_fold_in_which_nothing_was_measured_is_named() -> None:
+    whole = measured_once()
+    whole = whole._replace(mask=whole.mask & (np.arange(SAMPLES) // 10 % 5 != 3)[None, :, None])
+    with pytest.raises(ValueError, match="measured samples to validate on in every fold"):
+        shared(whole, [0, 3], Crossing(5, 10))
+    shared(whole, [0, 1], Crossing(5, 10))  # no member sets that fold aside
+
+
 def test_members_of_an_experiment_share_one_run_and_report_what_they_set_aside() -> None:
     plan = planned("+experiment=cascaded_tank_crossed", "data.generated=true")
     assert plan.data.train.u.shape[:3] == (10, 1, 1024)

@@ -38,10 +38,8 @@ from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.records import Record, take
 
 _STEPS = 12  # of a fit to stretches: they are nearly linear
-_SEARCHED = (
-    10,
-    20,
-)  # sequences in which effects are looked for, first and beside others; their numbers are fitted to all
+# sequences in which effects are looked for, first and beside others; their numbers are fitted to all
+_SEARCHED = (10, 20)
 _LANES = 4  # fits to stretches at a time, on as many devices
 _SPARE = 14  # numbers that such fits have places for: compiling takes longer than the places that stay empty
 _LOCATED = 24  # sequences or stretches whose correction is estimated

@@ -5,8 +5,8 @@ import json
 from pathlib import Path
 
 import pytest
+from discovery_samples import ARM, SAD, TANK, bare_discovery
 from rich.console import Console
-from test_discovery_figures import ARM, SAD, TANK, bare_discovery
 from test_report_page import Reader
 
 from pgrssnn_jax.reports import discovery_summary as summary
