@@ -37,7 +37,7 @@ def spec(name: str, **more: Any) -> ModelSpec:
 
 
 #: compiles in two thirds of the time; for tests of values that no optimisation should change
-quick_jit = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+quick_jit = partial(jax.jit, compiler_options=compiler_options(0))
 
 # --- a system in which every channel count differs and every argument matters -----------------------------------------
 
