@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import AxisType, PartitionSpec
 
+from pgrssnn_jax.compilation import optimised
+
 
 class Member(NamedTuple):
     """Which member this is: its seed and the index of its dataset (realisation)."""
@@ -38,16 +40,7 @@ def jit_members(one: Callable[..., Any], mapping: Mapping, *, donated: int | Non
     """`map_members`, compiled as the mapping says; donated: the argument whose memory the result takes over."""
     given = () if donated is None else (donated,)
     mapped = map_members(one, mapping)
-    return jax.jit(mapped, compiler_options=compiler_options(mapping.optimisation), donate_argnums=given)
-
-
-def compiler_options(level: int | None) -> dict[str, int | bool] | None:
-    if level is None:
-        return None
-    options: dict[str, int | bool] = {"xla_backend_optimization_level": level}
-    if level == 0:  # the older way of writing loops: compiles an arm's program in two thirds of the time
-        options["xla_cpu_use_fusion_emitters"] = False
-    return options
+    return jax.jit(mapped, compiler_options=optimised(mapping.optimisation), donate_argnums=given)
 
 
 def map_members(one: Callable[..., Any], mapping: Mapping) -> Callable[..., Any]:

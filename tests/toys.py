@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pgrssnn_jax.compilation import optimised
 from pgrssnn_jax.model import Model, ModelParams, build_model
 from pgrssnn_jax.networks import ModelSpec
 from pgrssnn_jax.physics.base import Physics, Signal, discrete
@@ -37,7 +38,7 @@ def spec(name: str, **more: Any) -> ModelSpec:
 
 
 #: compiles in two thirds of the time; for tests of values that no optimisation should change
-quick_jit = partial(jax.jit, compiler_options=compiler_options(0))
+quick_jit = partial(jax.jit, compiler_options=optimised(0))
 
 # --- a system in which every channel count differs and every argument matters -----------------------------------------
 

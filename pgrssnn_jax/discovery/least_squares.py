@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from pgrssnn_jax.compilation import quick_jit
 from pgrssnn_jax.discovery.problem import Code, Problem, Signals
 from pgrssnn_jax.members import over_devices
 from pgrssnn_jax.records import Array
@@ -178,7 +179,7 @@ def _simulate(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tupl
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(x, (3, 2, 0, 1))
 
 
-@partial(jax.jit, static_argnums=0)
+@quick_jit(static_argnums=0)
 def _sensitivity(code: Code, lanes: Lanes, signals: Signals) -> tuple[jax.Array, jax.Array]:
     y, dy = _with_derivatives(code, _time_first(signals.u), *_lanes_last(lanes))
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(dy, (3, 2, 0, 1, 4))

@@ -188,8 +188,11 @@ def look_at(
     rules: Rules,
     rng: np.random.Generator,
     without: Sequence[str],
+    cost: float | None = None,
 ) -> Stage:
-    ((base, cost),) = fit_all(problem, signals, [base], settings._replace(lanes=settings.devices))
+    """cost: error energy of a base that is fitted already."""
+    if cost is None:
+        ((base, cost),) = fit_all(problem, signals, [base], settings._replace(lanes=settings.devices))
     reach, own = reach_of(problem, signals, base), problem.of(None)
     guesses: list[Guess] = []
     for effect in problem.effects:
@@ -205,7 +208,7 @@ def look_at(
     *fitted, (afresh, low), (as_given, lower) = fit_all(problem, signals, [*guesses, fresh, nominal], settings)
     if min(low, lower) < (1.0 - _ASTRAY) * cost:  # an effect taken out again has let the start or the parameters go
         better = afresh if low < lower else as_given
-        return look_at(problem, signals, better, settings, rules, rng, without)
+        return look_at(problem, signals, better, settings, rules, rng, without, min(low, lower))
     ranked = sorted(_best_of_each(problem, fitted, rules).items(), key=lambda item: item[1][1])
     finalists = [base, *(guess for _, (guess, _) in ranked[: rules.finalists])]
     validated = cross_validate(problem, signals, finalists, settings)

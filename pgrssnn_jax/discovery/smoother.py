@@ -9,7 +9,6 @@ can be compared by that likelihood, and hidden states are no obstacle. One equat
 Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA Journal 3, 1965.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.compilation import quick_jit
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _RATES = 10.0 ** np.arange(-6.0, 0.1, 1.0)  # of w: in state scales per sample, as a part of the error's size
@@ -56,7 +56,7 @@ def smoothed_correction(
     return Correction(np.asarray(mean) * scale, np.asarray(std) * scale, np.asarray(likelihood))
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
+@quick_jit(static_argnums=(0, 1, 2))
 def _derivatives(
     step: Any, measure: Any, reads: str, params: Any, before: jax.Array, after: jax.Array, u: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
@@ -68,7 +68,7 @@ def _derivatives(
     return each(step)(params, before, u), each(measure)(params, after if reads == "after_step" else before, u)
 
 
-@partial(jax.jit, static_argnums=5)
+@quick_jit(static_argnums=5)
 def _smooth(
     a: jax.Array, c: jax.Array, error: jax.Array, measured: jax.Array, noise: jax.Array | float, reads: str
 ) -> tuple[jax.Array, jax.Array, jax.Array]:

@@ -61,9 +61,9 @@ def look_beyond(
     known = [effect.name for effect in problem.effects]
     theta, x0 = carried(problem, flexible, beside.estimate.theta, beside.estimate.x0, signals.start)
     few = settings._replace(lanes=16, spare=2 * settings.spare)
-    return look_at(
-        flexible, signals, Guess(beside.estimate.active, theta, x0), few, rules._replace(finalists=2), rng, known
-    )
+    base = Guess(beside.estimate.active, theta, x0)
+    rules = rules._replace(finalists=2)
+    return look_at(flexible, signals, base, few, rules, rng, known, cost=beside.estimate.cost)
 
 
 def formula(
