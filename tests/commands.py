@@ -48,10 +48,12 @@ def start(*arguments: str, cwd: Path, script: str = "train.py", **changes: str) 
     )  # fmt: skip
 
 
-def command(*arguments: str, cwd: Path, script: str = "train.py", **changes: str) -> tuple[int, str, str]:
+def command(
+    *arguments: str, cwd: Path, script: str = "train.py", seconds: float = 300, **changes: str
+) -> tuple[int, str, str]:
     """Exit code, standard output and standard error."""
     process = start(*arguments, cwd=cwd, script=script, **changes)
-    out, err = process.communicate(timeout=300)
+    out, err = process.communicate(timeout=seconds)
     return process.returncode, out, err
 
 
