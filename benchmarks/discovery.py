@@ -32,13 +32,13 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.settings import call_with
 
 _SETTINGS = {
-    "replace": {}, "fixed": ["B", "Tc"], "stretches": [], "starts": 4,
+    "replace": {}, "fixed": [], "tolerance": 0.5, "stretches": [], "starts": 4,
     "folds": 5, "block": 32, "n_init": 50, "steps": 30, "p_value": 0.01, "share": 0.02,
     "most": 4, "draws": 2000, "seed": 0, "network_epochs": 0,
 }  # fmt: skip
 
 
-_OF_SYSTEM = {"arm": {"stretches": [60, 60]}}
+_OF_SYSTEM = {"arm": {"stretches": [60, 60], "fixed": ["B", "Tc"]}, "lgssm": {"fixed": ["B"]}}
 
 
 def main() -> None:
@@ -60,16 +60,14 @@ def main() -> None:
 def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) -> dict[str, Any]:
     """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
     case = suite.build(plan)
-    physics = _nominal(case)
+    physics, chosen = _nominal(case), {**_SETTINGS, **_OF_SYSTEM.get(case.system, {})}
     if not problems:
-        problem = build_problem(physics, catalogue(physics), fixed=_SETTINGS["fixed"])
+        problem = build_problem(physics, catalogue(physics), fixed=chosen["fixed"])
         problems.append((problem, flexible_problem(problem)))
     problem, flexible = (one.with_numbers(physics.params) for one in problems[0])
     known = {effect.name for effect in problem.effects}
     removed = [name for name in plan.removed if name in known]
-    settings = call_with(
-        DiscoverySettings, {**_SETTINGS, **_OF_SYSTEM.get(case.system, {}), "without": removed}, "discovery"
-    )
+    settings = call_with(DiscoverySettings, {**chosen, "without": removed}, "discovery")
     started = time.perf_counter()
     start = Start.AT_REST if case.system == "arm" else Start.UNKNOWN
     found = discover_in(problem, case.train, case.test, settings, lambda line: None, start=start, flexible=flexible)

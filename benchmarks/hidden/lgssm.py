@@ -1,7 +1,8 @@
 """A linear system of second order with hidden effects: 1500 + 1500 samples (`linear_plant` below).
 
-    x_t = A x_{t-1} + B sat(u_t + u_offset) - c |x_{t-1}| x_{t-1} e_1 + w_t,   A = [0.7 0.8; 0 0.1],  B = [-1; 0.1]
-    y_t = C x_t + D u_t + y_offset + e_t,                                    C = [1 0]
+    v_t = sat(u_t + u_offset)                                   what acts on the system
+    x_t = A x_{t-1} + B v_t - c |x_{t-1}| x_{t-1} e_1 + w_t,    A = [0.7 0.8; 0 0.1],  B = [-1; 0.1]
+    y_t = C x_t + D v_t + y_offset + e_t,                       C = [1 0]
 
 No units. The nominal physics is the published imperfect Model 1, or the true matrices with every entry off by up to
 15 %. w: process noise, none unless asked for. Source of the matrices: Li, Seth, Kok, IFAC 2026, section 4.1.
@@ -35,7 +36,8 @@ CATALOGUE = Catalogue(
 SAMPLES = 1500
 TRUE = {"A": [[0.7, 0.8], [0.0, 0.1]], "B": [[-1.0], [0.1]], "C": [[1.0, 0.0]]}
 MODEL_1 = {"A": [[0.6, 0.7], [-0.1, 0.0]], "B": [[-1.1], [0.0]], "C": [[0.9, -0.1]]}
-_NONLINEAR = {"input_saturation", "quadratic_damping"}  # beside them a constant at input and output is not the same
+# beside it a constant at input and output is not the same; beside a saturation, whose two ends are free, it still is
+_NONLINEAR = {"quadratic_damping"}
 _SPREAD = 0.15
 _LARGEST = 2.0
 
@@ -55,14 +57,15 @@ def linear_plant(
 ) -> Float[np.ndarray, " time"]:
     """Noise-free readings after each sample."""
     a, b, c = (np.array(TRUE[name]) for name in "ABC")
-    pushes = np.clip(u + plant.u_offset, -plant.u_top, plant.u_top)[:, None] * b[:, 0] + w
+    acting = np.clip(u + plant.u_offset, -plant.u_top, plant.u_top)
+    pushes = acting[:, None] * b[:, 0] + w
     x, y = np.array(start), np.empty_like(u)
     for t, push in enumerate(pushes):
         loss = plant.damping * abs(x[0]) * x[0]
         x = a @ x + push
         x[0] -= loss
         y[t] = c[0] @ x
-    return y + plant.feedthrough * u + plant.y_offset
+    return y + plant.feedthrough * acting + plant.y_offset
 
 
 def build(

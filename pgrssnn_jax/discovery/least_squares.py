@@ -70,15 +70,17 @@ def simulate(problem: Problem, u: Array, theta: Array, x0: Array) -> tuple[np.nd
 
 
 class Limits(NamedTuple):
-    """Bounds of θ, and the size of a relative change of it, each `[p]`."""
+    """Bounds of θ, the size of a relative change of it, what was given and its precision, each `[p]`."""
 
     low: Float[Array, " p"]
     high: Float[Array, " p"]
     size: Float[Array, " p"]
+    given: Float[Array, " p"]
+    precision: Float[Array, " p"]
 
 
 def _limits(problem: Problem) -> Limits:
-    return Limits(problem.low, problem.high, problem.size)
+    return Limits(problem.low, problem.high, problem.size, problem.theta, problem.precision)
 
 
 class _Batched(NamedTuple):
@@ -213,7 +215,7 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
     theta0, x0, free = _lanes_last(lanes)
     counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)[None, None]  # [seq, time, lane]
     weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
-    low, high, size = (jnp.asarray(a)[:, None] for a in limits)
+    low, high, size, given, known = (jnp.asarray(a)[:, None] for a in limits)
     anchor, anchor_x = theta0, x0
     guessed = jnp.transpose(jnp.asarray(signals.start), (1, 0))[..., None]  # [x, seq, 1]
     n = weight.shape[0] * weight.shape[1] * weight.shape[2]
@@ -234,7 +236,10 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         moved = jnp.where(theta == anchor, 0.0, theta - anchor)
         start = (_PRIOR * n * (x0 - anchor_x) ** 2 + precision * (x0 - guessed) ** 2).sum(0)
         by_sequence = (error**2).sum((0, 1)) + start
-        return (prior * moved**2).sum(0), jnp.where(jnp.isfinite(by_sequence), by_sequence, jnp.inf)
+        from_given = jnp.where(known > 0, theta - given, 0.0)
+        return (prior * moved**2 + known * from_given**2).sum(0), jnp.where(
+            jnp.isfinite(by_sequence), by_sequence, jnp.inf
+        )
 
     def step(state: _State) -> _State:
         found, dy = _with_derivatives(code, u, state.theta, state.x0, free)
@@ -290,11 +295,12 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         direction = pull[..., :k].sum(0).T
         blocked = ((now <= lowest) & (direction < 0)) | ((now >= highest) & (direction > 0))
         moves = used & ~blocked.T  # [lane, k]
-        own = prior[place, 0].T
-        back = jnp.where(used, own * (jnp.take_along_axis(anchor, place, 0) - now).T, 0.0)
-        back = jnp.where(jnp.isfinite(back), back, 0.0)
+        near, held = prior[place, 0].T, known[place, 0].T
+        back = near * (jnp.take_along_axis(anchor, place, 0) - now).T
+        back = back + jnp.where(held > 0, held * (given[place, 0] - now).T, 0.0)
+        back = jnp.where(used & jnp.isfinite(back), back, 0.0)
         shift = jnp.stack(
-            [_step(normal, pull, moves, own, back, state, d * state.damping) for d in _DAMPINGS]
+            [_step(normal, pull, moves, near + held, back, state, d * state.damping) for d in _DAMPINGS]
         )  # [trial, lane, k + seq s]
         delta, delta_x = shift[..., :k], shift[..., k:]
         moved = jnp.clip(now.T[None] + delta, lowest.T[None], highest.T[None])  # [trial, lane, k]

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, free_places
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
@@ -24,7 +24,8 @@ _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is roun
 
 class Added(NamedTuple):
     """What a candidate at one start adds to the free run: basis Q `[seq · time · y, m]` of it, without what is free
-    anyway; moved and left: energy of its displacement before and after that was taken out."""
+    anyway, as far as its precision lets it be; moved and left: energy of its displacement before and after all of that
+    was taken out."""
 
     basis: Float[np.ndarray, "n m"]
     moved: float
@@ -77,17 +78,30 @@ def what_is_added(
     n = weight.size
     k = places.shape[1]
     nuisance = _starts_apart(columns[0], k) * weight[:, None]
-    basis = _orthonormal(nuisance)
+    taken_up = _orthonormal(nuisance)
+    held = _orthonormal(np.concatenate([nuisance, _held(problem, places[0], nuisance.shape[1])]))
     found = []
     for i in range(1, len(guesses) + 1):
         own = [j for j, p in enumerate(places[i]) if p >= 0 and p not in places[0]]
         added = np.concatenate([(outputs[i] - outputs[0]).reshape(n, 1), columns[i].reshape(n, -1)[:, own]], 1)
         added = np.where(np.isfinite(added), added, 0.0) * weight[:, None]
-        left = added - basis @ (basis.T @ added)
-        size, rest = np.linalg.norm(added, axis=0), np.linalg.norm(left, axis=0)
-        keep = rest > _NEGLIGIBLE * np.where(size > 0, size, 1.0) + 1e-12
-        found.append(Added(_orthonormal(left[:, keep]), float(size[0] ** 2), float(rest[0] ** 2)))
+        size = np.linalg.norm(added, axis=0)
+        left = _beside(added, taken_up)
+        longer = _beside(np.concatenate([added, np.zeros((k, added.shape[1]))]), held)
+        keep = np.linalg.norm(longer, axis=0) > _NEGLIGIBLE * np.where(size > 0, size, 1.0) + 1e-12
+        basis = _orthonormal(longer[:, keep])[:n]
+        found.append(Added(basis, float(size[0] ** 2), float(np.linalg.norm(left[:, 0]) ** 2)))
     return found
+
+
+def _held(problem: Problem, places: Int[np.ndarray, " k"], columns: int) -> Float[np.ndarray, "k n"]:
+    """What was given, as further samples: a shift of a number costs its precision times its square."""
+    precision = np.where(places >= 0, problem.precision[places], 0.0)
+    return np.diag(np.sqrt(precision)) @ np.eye(len(places), columns)
+
+
+def _beside(columns: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n d"]:
+    return columns - basis @ (basis.T @ columns)
 
 
 def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "n d"]:

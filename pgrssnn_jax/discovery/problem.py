@@ -45,7 +45,8 @@ class Code:
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What does not change during a discovery. slots: one per number of θ; theta: the physics as given, effects
-    neutral; size: of a relative change; code: shared by problems that differ in numbers alone (`with_numbers`)."""
+    neutral; size: of a relative change; precision: of the physics as given, for unit variance of the weighted errors
+    (0: nothing is held); code: shared by problems that differ in numbers alone (`with_numbers`)."""
 
     physics: Physics
     code: Code
@@ -55,6 +56,7 @@ class Problem:
     low: Float[np.ndarray, " p"]
     high: Float[np.ndarray, " p"]
     size: Float[np.ndarray, " p"]
+    precision: Float[np.ndarray, " p"]
 
     @property
     def full(self) -> Physics:
@@ -66,7 +68,24 @@ class Problem:
         whole = _double({**self.full.params, **params})
         theta = np.asarray(ravel_pytree(whole)[0], np.float64)
         low, high = _bounds(whole, self.slots)
-        return replace(self, physics=physics, theta=theta, low=low, high=high, size=_size(theta))
+        size, free = _size(theta), np.zeros(len(theta))
+        return replace(self, physics=physics, theta=theta, low=low, high=high, size=size, precision=free)
+
+    def held(self, tolerance: float, noise: float) -> "Problem":
+        """The same problem whose physics is known to within a tolerance: the relative standard deviation of what was
+        given (of a matrix: relative to its largest entry), where `noise` is the variance of the weighted errors. A zero
+        says nothing about its size and is not held."""
+        deviation = np.zeros(len(self.theta))
+        for path in {slot.path for slot in self.slots if slot.effect is None and slot.meaning.trainable}:
+            places = [i for i, slot in enumerate(self.slots) if slot.path == path]
+            deviation[places] = tolerance * np.abs(self.theta[places]).max()
+        held = deviation > 0
+        return replace(self, precision=np.where(held, noise / np.where(held, deviation, 1.0) ** 2, 0.0))
+
+    def penalty(self, theta: np.ndarray) -> float:
+        """Σ (θ - given)² precision."""
+        held = self.precision > 0
+        return float((self.precision[held] * (theta[held] - self.theta[held]) ** 2).sum())
 
     def of(self, effect: str | None) -> Int[np.ndarray, " k"]:
         """Positions in θ of the numbers of an effect that a fit may move; None: of the physics itself."""
@@ -122,7 +141,17 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
     free = np.zeros(len(full.states), bool)
     free[:own] = True
     theta = np.asarray(theta, np.float64)
-    return Problem(physics, Code(full, unravel, free), tuple(effects), tuple(slots), theta, low, high, _size(theta))
+    return Problem(
+        physics,
+        Code(full, unravel, free),
+        tuple(effects),
+        tuple(slots),
+        theta,
+        low,
+        high,
+        _size(theta),
+        np.zeros(len(theta)),
+    )
 
 
 def _bounds(params: Any, slots: tuple[Slot, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -25,6 +25,7 @@ from pgrssnn_jax.discovery.null import null_law, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
+_ROUNDING = 1e-12  # of an energy; the least that other effects leave is 1e-6
 _AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
 
 
@@ -81,6 +82,11 @@ class Stage(NamedTuple):
 
     def p_value(self, candidate: Candidate) -> float:
         return chance(self.null, candidate.gain)
+
+    def redundant(self, name: str) -> bool:
+        """Are there other values of the free parameters that do exactly the same?"""
+        moved, left = self.visible.get(name, (0.0, 0.0))
+        return left < _ROUNDING * moved
 
     def rms(self, candidate: Candidate | None = None) -> float:
         """Weighted error of the base, or of a candidate: of free runs where fits saw stretches, else of samples left
@@ -141,8 +147,12 @@ def search(
     first = look(start)
     judge = _Judge(problem, look, first.base.cost, first.noise * first.size, rules, first.free_run)
     current = _settled(judge, start)
-    if look(current).base.cost ** 0.5 - judge.floor**0.5 > rules.open * judge.gap:
-        current = _other_beginnings(judge, first, current)
+    closed = look(current).base.cost ** 0.5 - judge.floor**0.5 <= rules.open * judge.gap
+    others = [c for c in first.candidates if c.name not in current.active][: rules.beam]
+    best = first.candidates[0].cost if first.candidates else 0.0
+    # what did as well as the first at the beginning may be what the second one needs beside it
+    tied = [c for c in others if c.cost**0.5 - best**0.5 <= _AS_GOOD * judge.gap]
+    current = _other_beginnings(judge, first, current, tied if closed else others)
     stages = {name: look(_without(problem, current, name)) for name in current.active}
     last = look(current)
     return Found(first.base, last.base, stages, first, last, min(first.noise, last.noise))
@@ -165,6 +175,8 @@ class _Judge(NamedTuple):
         if stage.free_run is not None:
             begun = self.begun if self.begun is not None else stage.free_run
             return candidate.free_run is not None and stage.free_run - candidate.free_run >= self.rules.share * begun
+        if stage.free_run is None and stage.redundant(candidate.name):
+            return False
         gained = stage.base.cost**0.5 - candidate.cost**0.5
         left = max(stage.base.cost**0.5 - self.floor**0.5, 0.0)
         fall = 1.0 - candidate.cost / stage.base.cost if stage.base.cost > 0 else 0.0
@@ -212,7 +224,7 @@ def look_at(
     ranked = sorted(_best_of_each(problem, fitted, rules).items(), key=lambda item: item[1][1])
     finalists = [base, *(guess for _, (guess, _) in ranked[: rules.finalists])]
     validated = cross_validate(problem, signals, finalists, settings)
-    energy = validated[0].estimate.cost
+    energy = validated[0].estimate.cost + problem.penalty(base.theta)
     candidates = [
         Candidate(name, 1.0 - cost / energy, validated[i + 1] if i < rules.finalists else None, guess)
         for i, (name, (guess, cost)) in enumerate(ranked)
@@ -272,13 +284,13 @@ def _within_one_error(one: Candidate, best: Candidate) -> bool:
     return bool(difference.sum() <= len(difference) ** 0.5 * difference.std(ddof=1))
 
 
-def _other_beginnings(judge: _Judge, first: Stage, current: Guess) -> Guess:
-    """The effect that does best alone may be none of two that only do well together: the next best are tried, and
-    followed where they make a better pair than the best one does."""
+def _other_beginnings(judge: _Judge, first: Stage, current: Guess, others: Sequence[Candidate]) -> Guess:
+    """The effect that does best alone may be none of two that only do well together: others are tried, and followed
+    where they make a better pair than the best one does."""
     pair = judge.look(current).base.cost
     if first.candidates and first.candidates[0].name in current.active:
         pair = min(pair, *(c.cost for c in judge.look(first.candidates[0].guess).candidates[:1]))
-    for other in [c for c in first.candidates if c.name not in current.active][: judge.rules.beam]:
+    for other in others:
         best = _chosen(judge, judge.look(other.guess))
         if best is not None and best.cost < pair:
             found = _settled(judge, best.guess)

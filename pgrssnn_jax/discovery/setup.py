@@ -1,6 +1,6 @@
 """From the composed configuration to a discovery: all bad input is found here, before a byte is written."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, NamedTuple
@@ -23,15 +23,17 @@ class DiscoverySettings:
     """What `conf/discovery/standard.yaml` says, checked.
 
     replace: settings of the physics that discovery chooses itself, where the physics has them (a mapping replaces the
-    values that it names); fixed: parameters that are taken as given; stretches: lengths in samples, while nothing is
-    known, beside one effect and so on, empty: whole records; without: effects that the catalogue is to do without;
-    starts: of the recalibration; folds, block: of the cross-validation; n_init: first samples of the test record from
-    which its start is fitted where it is not known; network_epochs: of the PG-RSSNN that is trained on the old and the
-    new physics, 0 for none.
+    values that it names); fixed: parameters that are taken as given, NAME or PHYSICS.NAME; tolerance: relative standard
+    deviation of the others, null: nothing is known of them (as it is where stretches are fitted); stretches: lengths in
+    samples, while nothing is known, beside one effect and so on, empty: whole records; without: effects that the
+    catalogue is to do without; starts: of the recalibration; folds, block: of the cross-validation; n_init: first
+    samples of the test record from which its start is fitted where it is not known; network_epochs: of the PG-RSSNN
+    that is trained on the old and the new physics, 0 for none.
     """
 
     replace: Mapping[str, Any]
     fixed: list
+    tolerance: float | None
     stretches: Any
     without: list
     starts: int
@@ -54,6 +56,9 @@ class DiscoverySettings:
         for name, value in (("p_value", self.p_value), ("share", self.share)):
             if not 0.0 < value < 1.0:
                 raise ValueError(f"discovery.{name}: expected a number between 0 and 1, found {value:g}")
+
+        if self.tolerance is not None and not self.tolerance > 0.0:
+            raise ValueError(f"discovery.tolerance: expected null or a number above 0, found {self.tolerance:g}")
 
     @property
     def rules(self) -> Rules:
@@ -98,7 +103,8 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     one = Splits(*(take(record, 0) for record in splits))
     estimation = join(one.train, one.validation)
     shared = conventions(config["data"]).shared_initial_state
-    settings = replace(settings, stretches=_stretches(settings.stretches, physics))
+    stretches, fixed = _stretches(settings.stretches, physics), _fixed(settings.fixed, physics)
+    settings = replace(settings, stretches=stretches, fixed=fixed)
     start = Start.SHARED if shared else Start.AT_REST if config["initial_state"] == "zero" else Start.UNKNOWN
     _check(physics, estimation, one.test, settings, start)
     return Setup(dict(config), group, physics, estimation, one.test, start, settings)
@@ -106,6 +112,19 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
 
 def _replaced(chosen: Any, value: Any) -> Any:
     return chosen.get(value, value) if isinstance(chosen, Mapping) else chosen
+
+
+def _fixed(names: Sequence[str], physics: Physics) -> list[str]:
+    """Those of this physics, by their bare names."""
+    found = []
+    for name in names:
+        of, _, bare = str(name).rpartition(".")
+        if of in ("", physics.name):
+            if bare not in physics.params:
+                known = f"{list(physics.params)} of physics {physics.name!r}"
+                raise ValueError(f"discovery.fixed: expected some of {known}, found {bare!r}")
+            found.append(bare)
+    return found
 
 
 def _stretches(wanted: list | str, physics: Physics) -> list[int]:

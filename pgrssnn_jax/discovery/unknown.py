@@ -63,7 +63,16 @@ def look_beyond(
     few = settings._replace(lanes=16, spare=2 * settings.spare)
     base = Guess(beside.estimate.active, theta, x0)
     rules = rules._replace(finalists=2)
-    return look_at(flexible, signals, base, few, rules, rng, known, cost=beside.estimate.cost)
+    return look_at(
+        flexible,
+        signals,
+        base,
+        few,
+        rules,
+        rng,
+        known,
+        cost=beside.estimate.cost + problem.penalty(beside.estimate.theta),
+    )
 
 
 def formula(

@@ -28,6 +28,8 @@ _REST = 0.5  # or: part of what the named effects leave above the noise, with a 
 _VISIBLE_INSTEAD, _VISIBLE_BESIDE = 0.04, 0.15
 _FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that then is enough
 _CERTAIN = 0.98  # probability that it is the better one
+_NAMELESS = 0.05  # part of the gap that counts where no name closes any of it though errors are far above the noise
+_LIKELY = 0.75  # probability that is enough there, if its gain is not luck
 
 
 class Verdict(StrEnum):
@@ -78,8 +80,9 @@ def _unexplained(
     left = found.final.cost**0.5 - found.floor**0.5
     alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
-    # where errors are far above the noise and no name helps, strongly coloured errors need less proof
+    # where errors are far above the noise and no name helps, something is missing: less proof says where
     nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
+    beside = _NAMELESS if nameless else beside
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
         if stage is None:
@@ -91,9 +94,11 @@ def _unexplained(
             most_of_it = gained >= _REST * left > 0 and fall >= visible
             if not (most_of_it or (gap > 0 and gained >= least * gap and fall >= rules.least)):
                 continue
-            likely = chance_better(one.validated, found.final, rng) >= _CERTAIN
+            better, luck = chance_better(one.validated, found.final, rng), stage.p_value(one)
             weak = nameless or (most_of_it and fall >= _VISIBLE_BESIDE)
-            if likely and stage.p_value(one) <= (_WEAK_PROOF if weak else rules.p_value):
+            if better >= _CERTAIN and luck <= (_WEAK_PROOF if weak else rules.p_value):
+                return stage, one
+            if nameless and better >= _LIKELY and luck <= rules.p_value:
                 return stage, one
     return None
 

@@ -116,6 +116,8 @@ def discover_in(
             begun = given
             if len(problem.of(None)):
                 begun = recalibrated_from_spread(problem, record, given, settings, rng, chosen.starts)
+            hold = _as_known(problem, record, begun, None if in_stretches else chosen.tolerance)
+            problem = hold(problem)
         with _timed(seconds, "name"):
             common = {"settings": settings, "rules": chosen.rules, "rng": rng, "without": chosen.without}
             if in_stretches:
@@ -129,7 +131,7 @@ def discover_in(
         with _timed(seconds, "judge"):
             beyond, told, wide = Beyond(None, None, None), None, None
             if not in_stretches:
-                flexible = flexible or flexible_problem(problem)
+                flexible = hold(flexible or flexible_problem(problem))
                 wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)
                 beyond = _beyond(problem, flexible, wide, found, settings, chosen, rng)
                 beyond = beyond._replace(line=_line(problem, record, found))
@@ -232,6 +234,14 @@ def _test_start(
     if start is Start.SHARED:
         return np.broadcast_to(guess.x0[:1], (len(test.u), guess.x0.shape[1]))
     return fitted_start(problem, test, guess, chosen.n_init, settings)
+
+
+def _as_known(problem: Problem, record: Signals, begun: Guess, tolerance: float | None) -> Callable[[Problem], Problem]:
+    """Problems whose physics is known to within the tolerance; the noise is what a free refit leaves."""
+    if tolerance is None:
+        return lambda same: same
+    noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / max(1, int((record.weight > 0).sum()))
+    return lambda other: other.held(tolerance, noise)
 
 
 def _check_free_run(problem: Problem, record: Signals) -> None:

@@ -75,8 +75,8 @@ def tank_record(u: np.ndarray, noise: float = 0.01, seed: int = 0, **numbers: An
 def choices(**changes: Any) -> DiscoverySettings:
     """Settings of a short discovery on whole records."""
     standard = {
-        "replace": {}, "fixed": [], "stretches": [], "without": [], "starts": 1, "folds": 3, "block": 20,
-        "n_init": 30, "steps": 15, "p_value": 0.01, "share": 0.02, "most": 2, "draws": 199, "seed": 0,
+        "replace": {}, "fixed": [], "tolerance": 0.5, "stretches": [], "without": [], "starts": 1, "folds": 3,
+        "block": 20, "n_init": 30, "steps": 15, "p_value": 0.01, "share": 0.02, "most": 2, "draws": 199, "seed": 0,
         "network_epochs": 0,
     }  # fmt: skip
     return DiscoverySettings(**{**standard, **changes})

@@ -34,19 +34,22 @@ def verdict(
     corrected: float,
     by_luck: float = 0.0,
     instead: bool = False,
+    name: tuple[str, ...] = (NAME,),
+    spread: float = 0.0,
 ) -> Verdict:
     """Energies of the recalibrated physics, with the named effect, and with a correction beside it or instead; by_luck:
-    part of the draws of the null that gain as much."""
+    part of the draws of the null that gain as much; spread: of the correction's errors from block to block."""
     base, final, better = (
-        model(problem, energy, active)
-        for energy, active in ((recalibrated, ()), (named, (NAME,)), (corrected, (NAME,)))
+        model(problem, energy, active) for energy, active in ((recalibrated, ()), (named, name), (corrected, name))
     )
+    uneven = 1.0 + spread * np.where(np.arange(SAMPLES) // 32 % 2, 1.0, -1.0)
+    better = better._replace(held_out=better.held_out * np.sqrt(uneven)[None, :, None])
     guess = Guess((NAME,), problem.theta, np.zeros((1, 2)))
     correction = Candidate("lower_level by upper_level", 1.0 - corrected / named, better, guess)
     null = np.where(np.arange(400) < 400 * by_luck, 1.0, 0.0)
     beside = Stage(final, (correction,), null, {}, SAMPLES, 1.0)
     nothing = Stage(base, (), null, {}, SAMPLES, 1.0)
-    found = Found(base, final, {NAME: nothing}, nothing, beside, 1.0)
+    found = Found(base, final, dict.fromkeys(name, nothing), nothing, beside, 1.0)
     beyond = Beyond(None, beside, None) if instead else Beyond(beside, None, None)
     return judge(problem, found, beyond, recalibrated * SAMPLES, Rules(), 0).verdict
 
@@ -77,3 +80,11 @@ def test_a_large_part_of_the_gap_is_enough(problem):
 
 def test_a_gain_that_luck_brings_too_changes_nothing(problem):
     assert verdict(problem, recalibrated=1e4, named=1.4, corrected=1.05, by_luck=0.1) is Verdict.EFFECT_FOUND
+
+
+def test_where_no_name_helps_and_errors_are_far_above_the_noise_a_likely_correction_is_enough(problem):
+    far, near = ({"recalibrated": e, "named": e, "corrected": 0.9 * e, "spread": 0.5} for e in (400.0, 1.5))
+    assert verdict(problem, **far, name=()) is Verdict.UNKNOWN_EFFECT
+    assert verdict(problem, **far, name=(), by_luck=0.02) is Verdict.NO_DISCREPANCY
+    assert verdict(problem, **near, name=()) is Verdict.NO_DISCREPANCY
+    assert verdict(problem, **far) is Verdict.EFFECT_FOUND
