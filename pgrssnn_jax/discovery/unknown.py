@@ -45,7 +45,8 @@ class Line(NamedTuple):
 
 def flexible_problem(problem: Problem) -> Problem:
     """The same problem with every flexible correction beside the catalogue."""
-    return build_problem(problem.physics, (*problem.effects, *flexible_effects(problem.physics)))
+    fixed = {slot.path[0] for slot in problem.slots if slot.effect is None and not slot.meaning.trainable}
+    return build_problem(problem.physics, (*problem.effects, *flexible_effects(problem.physics)), fixed=sorted(fixed))
 
 
 def look_beyond(

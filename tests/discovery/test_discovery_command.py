@@ -112,6 +112,7 @@ def hole(u, y):
         (240, nothing, ["discovery.without=[overflow]"], r"effects: expected some of .* found 'overflow'"),
         (240, hole, [], "a.csv.*line 19.*u.*nan"),
         (240, nothing, ["discovery.folds=1"], "discovery.folds: expected at least 2, found 1"),
+        (240, nothing, ["discovery.fixed=[arm.Q,Q]"], r"discovery.fixed: expected some of \['A', 'B', 'C'\] .*'Q'"),
         (240, nothing, ["discovery.tolerance=0"], "discovery.tolerance: expected null or a number above 0, found 0"),
         (240, nothing, ["discovery.p_value=0"], "discovery.p_value: expected a number between 0 and 1, found 0"),
         (240, nothing, ["discovery.stretches=[1]"], "discovery.stretches: expected auto or a list of lengths"),
