@@ -28,6 +28,8 @@ _REST = 0.5  # or: part of what the named effects leave above the noise, with a 
 _VISIBLE_INSTEAD, _VISIBLE_BESIDE = 0.04, 0.15
 _FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that then is enough
 _CERTAIN = 0.98  # probability that it is the better one
+_LARGE, _NEARLY_CERTAIN = 1 / 3, 0.9  # fall of the error energy, and the probability that then is enough
+_BEYOND_LUCK = 1.25  # times the largest gain by luck: what names leave near the noise is then no noise
 _NAMELESS = 0.05  # part of the gap that counts where no name closes any of it though errors are far above the noise
 _LIKELY = 0.75  # probability that is enough there, if its gain is not luck
 
@@ -80,8 +82,10 @@ def _unexplained(
     left = found.final.cost**0.5 - found.floor**0.5
     alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
+    far = found.final.cost > _FAR * found.floor
     # where errors are far above the noise and no name helps, something is missing: less proof says where
-    nameless = not found.final.estimate.active and found.final.cost > _FAR * found.floor
+    named = bool(found.final.estimate.active)
+    nameless = far and not named
     beside = _NAMELESS if nameless else beside
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
@@ -92,13 +96,18 @@ def _unexplained(
             fall, gained = 1.0 - one.cost / found.final.cost, found.final.cost**0.5 - one.cost**0.5
             # names that leave errors above the noise, most of which one correction takes away, are stand-ins
             most_of_it = gained >= _REST * left > 0 and fall >= visible
-            if not (most_of_it or (gap > 0 and gained >= least * gap and fall >= rules.least)):
-                continue
+            part_of_gap = gap > 0 and gained >= least * gap and fall >= rules.least
             better, luck = chance_better(one.validated, found.final, rng), stage.p_value(one)
+            certain = _NEARLY_CERTAIN if fall >= _LARGE else _CERTAIN
             weak = nameless or (most_of_it and fall >= _VISIBLE_BESIDE)
-            if better >= _CERTAIN and luck <= (_WEAK_PROOF if weak else rules.p_value):
-                return stage, one
-            if nameless and better >= _LIKELY and luck <= rules.p_value:
+            if most_of_it or part_of_gap:
+                if better >= certain and luck <= (_WEAK_PROOF if weak else rules.p_value):
+                    return stage, one
+                if nameless and better >= _LIKELY and luck <= rules.p_value:
+                    return stage, one
+            # names that bend the numbers of the physics to reach the noise: a correction lets them go back
+            no_luck = one.gain >= _BEYOND_LUCK * stage.null.max() and better >= _LIKELY and fall >= rules.least
+            if named and not far and stage is beyond.beside and no_luck and gained >= _INSTEAD * gap > 0:
                 return stage, one
     return None
 

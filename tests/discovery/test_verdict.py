@@ -36,9 +36,11 @@ def verdict(
     instead: bool = False,
     name: tuple[str, ...] = (NAME,),
     spread: float = 0.0,
+    luckiest: float = 0.0,
 ) -> Verdict:
     """Energies of the recalibrated physics, with the named effect, and with a correction beside it or instead; by_luck:
-    part of the draws of the null that gain as much; spread: of the correction's errors from block to block."""
+    part of the draws of the null that gain as much, luckiest: what the others gain; spread: of the correction's errors
+    from block to block."""
     base, final, better = (
         model(problem, energy, active) for energy, active in ((recalibrated, ()), (named, name), (corrected, name))
     )
@@ -46,7 +48,7 @@ def verdict(
     better = better._replace(held_out=better.held_out * np.sqrt(uneven)[None, :, None])
     guess = Guess((NAME,), problem.theta, np.zeros((1, 2)))
     correction = Candidate("lower_level by upper_level", 1.0 - corrected / named, better, guess)
-    null = np.where(np.arange(400) < 400 * by_luck, 1.0, 0.0)
+    null = np.where(np.arange(400) < 400 * by_luck, 1.0, luckiest)
     beside = Stage(final, (correction,), null, {}, SAMPLES, 1.0)
     nothing = Stage(base, (), null, {}, SAMPLES, 1.0)
     found = Found(base, final, dict.fromkeys(name, nothing), nothing, beside, 1.0)
@@ -88,3 +90,17 @@ def test_where_no_name_helps_and_errors_are_far_above_the_noise_a_likely_correct
     assert verdict(problem, **far, name=(), by_luck=0.02) is Verdict.NO_DISCREPANCY
     assert verdict(problem, **near, name=()) is Verdict.NO_DISCREPANCY
     assert verdict(problem, **far) is Verdict.EFFECT_FOUND
+
+
+@pytest.mark.parametrize(("luckiest", "expected"), [(0.03, Verdict.UNKNOWN_EFFECT), (0.08, Verdict.EFFECT_FOUND)])
+def test_what_names_leave_near_the_noise_is_judged_by_what_luck_brings_at_most(problem, luckiest, expected):
+    """Names that bend the physics to reach the noise; a likely correction gains 9 % of the error energy."""
+    energies = {"recalibrated": 1.5, "named": 1.1, "corrected": 1.0, "spread": 0.5}
+    assert verdict(problem, **energies, luckiest=luckiest) is expected
+    assert verdict(problem, **(energies | {"recalibrated": 1e4}), luckiest=luckiest) is Verdict.EFFECT_FOUND
+
+
+@pytest.mark.parametrize(("corrected", "expected"), [(5.0, Verdict.UNKNOWN_EFFECT), (7.0, Verdict.EFFECT_FOUND)])
+def test_where_most_of_the_error_energy_goes_near_certainty_is_enough(problem, corrected, expected):
+    energies = {"recalibrated": 25.0, "named": 9.0, "corrected": corrected, "spread": 0.72}
+    assert verdict(problem, **energies) is expected
