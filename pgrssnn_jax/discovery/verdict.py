@@ -79,37 +79,71 @@ def _unexplained(
     found: Found, beyond: Beyond, gap: float, rules: Rules, rng: np.random.Generator
 ) -> tuple[Stage, Candidate] | None:
     """A correction without a name that does clearly better than the named effects, in their place or beside them."""
-    left = found.final.cost**0.5 - found.floor**0.5
     alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
-    far = found.final.cost > _FAR * found.floor
-    # where errors are far above the noise and no name helps, something is missing: less proof says where
-    named = bool(found.final.estimate.active)
-    nameless = far and not named
-    beside = _NAMELESS if nameless else beside
+    far, named = found.final.cost > _FAR * found.floor, bool(found.final.estimate.active)
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
         if stage is None:
             continue
         for one in (candidate for candidate in stage.candidates if candidate.validated):
-            assert one.validated is not None
-            fall, gained = 1.0 - one.cost / found.final.cost, found.final.cost**0.5 - one.cost**0.5
-            # names that leave errors above the noise, most of which one correction takes away, are stand-ins
-            most_of_it = gained >= _REST * left > 0 and fall >= visible
-            part_of_gap = gap > 0 and gained >= least * gap and fall >= rules.least
-            better, luck = chance_better(one.validated, found.final, rng), stage.p_value(one)
-            certain = _NEARLY_CERTAIN if fall >= _LARGE else _CERTAIN
-            weak = nameless or (most_of_it and fall >= _VISIBLE_BESIDE)
-            if most_of_it or part_of_gap:
-                if better >= certain and luck <= (_WEAK_PROOF if weak else rules.p_value):
-                    return stage, one
-                if nameless and better >= _LIKELY and luck <= rules.p_value:
-                    return stage, one
-            # names that bend the numbers of the physics to reach the noise: a correction lets them go back
-            no_luck = one.gain >= _BEYOND_LUCK * stage.null.max() and better >= _LIKELY and fall >= rules.least
-            if named and not far and stage is beyond.beside and no_luck and gained >= _INSTEAD * gap > 0:
+            gains = _gains(found, stage, one, gap, rng)
+            enough = _says_where(gains, rules) if far and not named else _outweighs(gains, least, visible, rules)
+            bends = named and not far and stage is beyond.beside
+            if enough or (bends and _beyond_luck(gains, rules)):
                 return stage, one
     return None
+
+
+class _Gains(NamedTuple):
+    """What a correction brings. fall: of the error energy, relative; share, rest: of the gap and of what is left of it,
+    in RMS; better: probability that it predicts better; luck: p-value; lucky: its gain over the largest one by luck."""
+
+    fall: float
+    share: float
+    rest: float
+    better: float
+    luck: float
+    lucky: float
+
+
+def _gains(found: Found, stage: Stage, one: Candidate, gap: float, rng: np.random.Generator) -> _Gains:
+    assert one.validated is not None
+    gained, left = found.final.cost**0.5 - one.cost**0.5, found.final.cost**0.5 - found.floor**0.5
+    largest = float(stage.null.max())
+    return _Gains(
+        1.0 - one.cost / found.final.cost,
+        gained / gap if gap > 0 else -np.inf,
+        gained / left if left > 0 else -np.inf,
+        chance_better(one.validated, found.final, rng),
+        stage.p_value(one),
+        one.gain / largest if largest > 0 else np.inf,
+    )
+
+
+def _outweighs(gains: _Gains, least: float, visible: float, rules: Rules) -> bool:
+    """A part of the gap, or most of what the names leave above the noise: then they are stand-ins."""
+    most_of_rest = gains.rest >= _REST and gains.fall >= visible
+    if not most_of_rest and not (gains.share >= least and gains.fall >= rules.least):
+        return False
+    certain = _NEARLY_CERTAIN if gains.fall >= _LARGE else _CERTAIN
+    proof = _WEAK_PROOF if most_of_rest and gains.fall >= _VISIBLE_BESIDE else rules.p_value
+    return gains.better >= certain and gains.luck <= proof
+
+
+def _says_where(gains: _Gains, rules: Rules) -> bool:
+    """Errors are far above the noise and no name helps: something is missing, and less proof says where."""
+    if gains.share < _NAMELESS or gains.fall < rules.least:
+        return False
+    certain = _NEARLY_CERTAIN if gains.fall >= _LARGE else _CERTAIN
+    surely = gains.better >= certain and gains.luck <= _WEAK_PROOF
+    return surely or (gains.better >= _LIKELY and gains.luck <= rules.p_value)
+
+
+def _beyond_luck(gains: _Gains, rules: Rules) -> bool:
+    """Names that bend the numbers of the physics to reach the noise: a correction beside them lets those go back."""
+    visible = gains.fall >= rules.least and gains.share >= _INSTEAD
+    return visible and gains.lucky >= _BEYOND_LUCK and gains.better >= _LIKELY
 
 
 def _alternatives(problem: Problem, found: Found, name: str, rng: np.random.Generator) -> tuple[Candidate, ...]:
