@@ -197,7 +197,8 @@ def test_a_joint_stops_at_its_limit_and_leaves_it_freely():
     lower, upper = NUMBERS["joint_limit"]["lower"], NUMBERS["joint_limit"]["upper"]
     np.testing.assert_array_equal(q, np.clip(q_free, lower, upper))
     into = ((q_free >= upper) & (v_free > 0)) | ((q_free <= lower) & (v_free < 0))
-    np.testing.assert_array_equal(v, np.where(into, 0.0, v_free))
+    np.testing.assert_array_equal(v[into], 0.0)
+    np.testing.assert_allclose(v[~into], v_free[~into], rtol=1e-14)  # two programs, each with its own rounding
     assert into.any()
     assert ((q_free > upper) & (v_free < 0)).any()
 
