@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 from discovery.small_cases import pump, tank_record
@@ -20,10 +19,7 @@ TRUE = {"k1": 0.05, "k2": 0.0009, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
 NAMES = ("k1", "k2", "k3", "k4", "k5")
 
 
-@pytest.fixture(autouse=True)
-def double_precision():
-    with jax.enable_x64(True):
-        yield
+pytestmark = pytest.mark.usefixtures("x64")
 
 
 @pytest.fixture(scope="module")
