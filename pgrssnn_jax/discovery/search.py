@@ -175,7 +175,7 @@ class _Judge(NamedTuple):
         if stage.free_run is not None:
             begun = self.begun if self.begun is not None else stage.free_run
             return candidate.free_run is not None and stage.free_run - candidate.free_run >= self.rules.share * begun
-        if stage.free_run is None and stage.redundant(candidate.name):
+        if stage.redundant(candidate.name):
             return False
         gained = stage.base.cost**0.5 - candidate.cost**0.5
         left = max(stage.base.cost**0.5 - self.floor**0.5, 0.0)
