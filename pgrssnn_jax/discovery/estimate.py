@@ -14,6 +14,8 @@ from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.effects.base import Reach
 
+_FEW = 2  # guesses per device, up to which a program of few lanes is the faster one
+
 
 class Settings(NamedTuple):
     """spare: free numbers that a program has places for beside those of the physics; lanes: fits in one program; steps:
@@ -23,6 +25,15 @@ class Settings(NamedTuple):
     lanes: int = 48
     steps: int = 30
     devices: int = 1
+
+    @property
+    def screening(self) -> int:
+        """Steps after which the best of many are chosen; these then take the rest."""
+        return max(1, self.steps // 2)
+
+    @property
+    def rest(self) -> int:
+        return max(1, self.steps - self.screening)
 
 
 class Estimate(NamedTuple):
@@ -76,15 +87,16 @@ def fit_all(
     steps: int | None = None,
     only_start: bool = False,
 ) -> list[tuple[Guess, float]]:
-    """Every guess fitted, with its cost; lanes are filled up so that one program serves all calls. only_start: θ stays,
-    x_0 alone is fitted."""
+    """Every guess fitted, with its cost; lanes are filled up so that two programs serve all calls, one of them for few
+    guesses. only_start: θ stays, x_0 alone is fitted."""
     found: list[tuple[Guess, float]] = []
     left = [-1] * len(guesses) if left_out is None else list(left_out)
-    for i in range(0, len(guesses), settings.lanes):
-        part, part_left = list(guesses[i : i + settings.lanes]), left[i : i + settings.lanes]
+    lanes_at_once = settings.devices if len(guesses) <= _FEW * settings.devices else settings.lanes
+    for i in range(0, len(guesses), lanes_at_once):
+        part, part_left = list(guesses[i : i + lanes_at_once]), left[i : i + lanes_at_once]
         count = len(part)
-        part += [part[-1]] * (settings.lanes - count)
-        part_left += [part_left[-1]] * (settings.lanes - count)
+        part += [part[-1]] * (lanes_at_once - count)
+        part_left += [part_left[-1]] * (lanes_at_once - count)
         free = free_places(problem, part, settings)
         lanes = Lanes(
             np.stack([g.theta for g in part]),
@@ -118,20 +130,24 @@ def evaluate(problem: Problem, signals: Signals, guess: Guess) -> Estimate:
     return Estimate(guess.active, guess.theta, guess.x0, error)
 
 
-def cross_validate(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings) -> list[Validated]:
-    """Fits of every guess without each fold in turn, from where the fit to all of the record ended."""
+def cross_validate(
+    problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings
+) -> list[tuple[Validated, float]]:
+    """Fits of every guess without each fold in turn, beside the rest of the fit to all of the record and its cost."""
     folds = int(signals.block.max()) + 1
-    lanes = [guess for guess in guesses for _ in range(folds)]
-    fitted = fit_all(problem, signals, lanes, settings, left_out=list(range(folds)) * len(guesses), steps=_WARM_STEPS)
+    lanes = [guess for guess in guesses for _ in range(folds + 1)]
+    left = [*range(folds), -1] * len(guesses)
+    fitted = fit_all(problem, signals, lanes, settings, left_out=left, steps=settings.rest)
     found = []
-    for i, guess in enumerate(guesses):
-        own = [g for g, _ in fitted[i * folds : (i + 1) * folds]]
+    for i in range(0, len(fitted), folds + 1):
+        own = [g for g, _ in fitted[i : i + folds]]
+        whole, cost = fitted[i + folds]
         theta, x0 = np.stack([g.theta for g in own]), np.stack([g.x0 for g in own])
         y, _ = simulate(problem, signals.u, theta, x0)
         chosen = np.take_along_axis(y, np.maximum(signals.block, 0)[None, :, :, None], 0)[0]
         counts = (signals.weight > 0) & (signals.block[..., None] >= 0)
         held_out = np.where(counts, signals.weight * (signals.y - chosen), 0.0)
-        found.append(Validated(evaluate(problem, signals, guess), held_out, theta))
+        found.append((Validated(evaluate(problem, signals, whole), held_out, theta), cost))
     return found
 
 
@@ -150,6 +166,3 @@ def reach_of(problem: Problem, signals: Signals, guess: Guess) -> Reach:
         return np.stack([a.min((0, 1)), a.max((0, 1))])
 
     return Reach(span(x[0]), span(signals.u), span(y[0]))
-
-
-_WARM_STEPS = 8

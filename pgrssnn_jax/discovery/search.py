@@ -195,16 +195,18 @@ def _named(candidates: Sequence[Candidate]) -> str:
 def look_at(
     problem: Problem,
     signals: Signals,
-    base: Guess,
+    base: Guess | Validated,
     settings: Settings,
     rules: Rules,
     rng: np.random.Generator,
     without: Sequence[str],
-    cost: float | None = None,
 ) -> Stage:
-    """cost: error energy of a base that is fitted already."""
-    if cost is None:
-        ((base, cost),) = fit_all(problem, signals, [base], settings._replace(lanes=settings.devices))
+    """base: a guess is fitted first. Every effect beside it is fitted from every start, the best to the end."""
+    if isinstance(base, Validated):
+        known, cost = base, base.estimate.cost + problem.penalty(base.estimate.theta)
+        base = base.guess
+    else:
+        known, ((base, cost),) = None, fit_all(problem, signals, [base], settings)
     reach, own = reach_of(problem, signals, base), problem.of(None)
     guesses: list[Guess] = []
     for effect in problem.effects:
@@ -217,26 +219,27 @@ def look_at(
         guesses += [g._replace(theta=_with(g.theta, own, problem.theta[own])) for g in guesses]
     fresh = base._replace(x0=signals.start)
     nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
-    *fitted, (afresh, low), (as_given, lower) = fit_all(problem, signals, [*guesses, fresh, nominal], settings)
+    screened = fit_all(problem, signals, [*guesses, fresh, nominal], settings, steps=settings.screening)
+    *fitted, (afresh, low), (as_given, lower) = screened
     if min(low, lower) < (1.0 - _ASTRAY) * cost:  # an effect taken out again has let the start or the parameters go
         better = afresh if low < lower else as_given
-        return look_at(problem, signals, better, settings, rules, rng, without, min(low, lower))
+        return look_at(problem, signals, better, settings, rules, rng, without)
     ranked = sorted(_best_of_each(problem, fitted, rules).items(), key=lambda item: item[1][1])
-    finalists = [base, *(guess for _, (guess, _) in ranked[: rules.finalists])]
-    validated = cross_validate(problem, signals, finalists, settings)
-    energy = validated[0].estimate.cost + problem.penalty(base.theta)
-    candidates = [
-        Candidate(name, 1.0 - cost / energy, validated[i + 1] if i < rules.finalists else None, guess)
-        for i, (name, (guess, cost)) in enumerate(ranked)
-    ]
+    finalists = [guess for _, (guess, _) in ranked[: rules.finalists]]
+    if known is None:
+        (known, cost), *validated = cross_validate(problem, signals, [base, *finalists], settings)
+    else:
+        validated = cross_validate(problem, signals, finalists, settings)
+    candidates = [Candidate(v.guess.active[-1], 1.0 - reached / cost, v, v.guess) for v, reached in validated]
+    candidates += [Candidate(name, 1.0 - low / cost, None, guess) for name, (guess, low) in ranked[rules.finalists :]]
     candidates.sort(key=lambda c: (c.cost, -c.gain))
-    added = what_is_added(problem, signals, validated[0].estimate, guesses, settings)
-    law = null_law(validated[0].estimate, signals.weight, added, rules.draws, rng)
+    added = what_is_added(problem, signals, known.estimate, guesses, settings)
+    law = null_law(known.estimate, signals.weight, added, rules.draws, rng)
     visible: dict[str, tuple[float, float]] = {}
     for guess, one in zip(guesses, added, strict=True):
         seen = visible.get(guess.active[-1], (0.0, 0.0))
         visible[guess.active[-1]] = (max(seen[0], one.moved), max(seen[1], one.left))
-    return Stage(validated[0], tuple(candidates), law, visible, *size_and_noise(signals, validated))
+    return Stage(known, tuple(candidates), law, visible, *size_and_noise(signals, [known, *(v for v, _ in validated)]))
 
 
 def _best_of_each(

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate
+from pgrssnn_jax.discovery.estimate import Settings, Validated, evaluate
 from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
 from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, look_at
@@ -20,6 +20,7 @@ _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
 _LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
 _LINE_SHARE = 0.1  # of the energy of the errors
 _NEIGHBOURS = 25  # bins on either side, at most
+_LANES = 16  # fits at a time
 _PERIODS = 8  # in the record, at least: of fewer, slow errors and a line look alike
 
 
@@ -61,19 +62,10 @@ def look_beyond(
     """What flexible corrections add to a model of the catalogue, judged as named effects are. signals: `flexible`'s."""
     known = [effect.name for effect in problem.effects]
     theta, x0 = carried(problem, flexible, beside.estimate.theta, beside.estimate.x0, signals.start)
-    few = settings._replace(lanes=16, spare=2 * settings.spare)
-    base = Guess(beside.estimate.active, theta, x0)
-    rules = rules._replace(finalists=2)
-    return look_at(
-        flexible,
-        signals,
-        base,
-        few,
-        rules,
-        rng,
-        known,
-        cost=beside.estimate.cost + problem.penalty(beside.estimate.theta),
-    )
+    folds = np.stack([carried(problem, flexible, t, beside.estimate.x0, signals.start)[0] for t in beside.folds])
+    base = beside._replace(estimate=beside.estimate._replace(theta=theta, x0=x0), folds=folds)
+    few = settings._replace(lanes=_LANES, spare=2 * settings.spare)
+    return look_at(flexible, signals, base, few, rules._replace(finalists=2), rng, known)
 
 
 def formula(
