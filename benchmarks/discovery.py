@@ -81,8 +81,15 @@ def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) ->
         "closed": _closed(found, case),
         "seconds": seconds,
         "steps": found.seconds,
-        **({"sindy": compare.sindy_name(case)} if sindy else {}),
+        **(_by_sindy(case) if sindy and case.system in compare.SYSTEMS else {}),
     }
+
+
+def _by_sindy(case: Case) -> dict[str, Any]:
+    """Right: a name of what is there, or none where nothing is."""
+    name = compare.sindy_name(case)
+    accepted = {name for names in case.accepted for name in names} or {None}
+    return {"sindy": name, "sindy_right": name in accepted}
 
 
 def _nominal(case: Case) -> Physics:
@@ -129,7 +136,9 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def _table(rows: Sequence[dict[str, Any]], system: str) -> Table:
-    table = Table("kind", "cases", "right", "right name first", "median closed", "median s", title=system)
+    compared = all("sindy" in row for row in rows)
+    columns = ("kind", "cases", "right", "right name first", "median closed", "median s")
+    table = Table(*columns, *(["SINDy names one"] if compared else []), title=system)
     for kind in KINDS:
         own = [row for row in rows if row["kind"] == kind]
         if own:
@@ -137,7 +146,9 @@ def _table(rows: Sequence[dict[str, Any]], system: str) -> Table:
             gaps = [row["closed"] for row in own if not np.isnan(row["closed"])]
             closed = _percent(float(np.median(gaps)) if gaps else float("nan"))
             seconds = f"{np.median([row['seconds'] for row in own]):.1f}"
-            table.add_row(kind, str(len(own)), str(sum(row["right"] for row in own)), str(first), closed, seconds)
+            figures = [len(own), sum(row["right"] for row in own), first, closed, seconds]
+            figures += [sum(row["sindy_right"] for row in own)] if compared else []
+            table.add_row(kind, *map(str, figures))
     return table
 
 

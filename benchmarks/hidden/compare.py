@@ -14,6 +14,7 @@ import numpy as np
 from .case import Case
 from .rig import HISTORY, SAMPLE_TIME, Rig, levels
 
+SYSTEMS = ("tanks", "pendulum")  # the others have no derivative to regress on (sampled), or none of one signal (arm)
 _LEAST = 0.05
 Terms = dict[str, np.ndarray]
 
@@ -23,8 +24,8 @@ def sindy_name(case: Case, window: int = 15) -> str | None:
     `ValueError` for a system other than tanks and pendulum. window: samples of the smoothing."""
     import pysindy  # an optional extra
 
-    if case.system not in ("tanks", "pendulum"):
-        raise ValueError(f"sindy_name: system: expected tanks or pendulum, found {case.system!r}")
+    if case.system not in SYSTEMS:
+        raise ValueError(f"sindy_name: system: expected one of {SYSTEMS}, found {case.system!r}")
     smooth = pysindy.SmoothedFiniteDifference(smoother_kws={"window_length": window, "polyorder": 3})
 
     def slope(signal: np.ndarray, dt: float) -> np.ndarray:

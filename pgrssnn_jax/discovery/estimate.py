@@ -19,11 +19,13 @@ _FEW = 2  # guesses per device, up to which a program of few lanes is the faster
 
 class Settings(NamedTuple):
     """spare: free numbers that a program has places for beside those of the physics; lanes: fits in one program; steps:
-    of Levenberg-Marquardt; devices: JAX devices that share the lanes."""
+    of Levenberg-Marquardt, tolerance: relative fall of the cost at which they end; devices: JAX devices that share the
+    lanes."""
 
     spare: int = 7
     lanes: int = 48
     steps: int = 30
+    tolerance: float = 1e-6
     devices: int = 1
 
     @property
@@ -104,7 +106,14 @@ def fit_all(
             np.full_like(free, -1) if only_start else free,
             np.array(part_left),
         )
-        done = fit(problem, signals, lanes, steps=steps or settings.steps, devices=settings.devices)
+        done = fit(
+            problem,
+            signals,
+            lanes,
+            steps=steps or settings.steps,
+            tolerance=settings.tolerance,
+            devices=settings.devices,
+        )
         theta, x0 = np.asarray(done.theta), np.asarray(done.x0)
         found += [(Guess(part[j].active, theta[j], x0[j]), float(done.cost[j])) for j in range(count)]
     return found

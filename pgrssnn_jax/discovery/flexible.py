@@ -21,7 +21,7 @@ from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 KNOTS = 8
 _HISTORY = 6  # samples
-_WIDE = 4  # more states than this: a state is corrected by its own signals only
+_WIDE = 4  # more states than this: rates are corrected by themselves and by what they are the rate of
 
 
 class Where(NamedTuple):
@@ -37,26 +37,24 @@ def families(physics: Physics) -> dict[str, Where]:
     """Every family for the signals of a physics, by name."""
     states, inputs, outputs = physics.states, physics.inputs, physics.outputs
     found: dict[str, Where] = {}
+    wide = len(states) > _WIDE
     for i, state in enumerate(states):
-        for kind, signals in (("x", states), ("u", inputs)):
+        for kind, signals in (("x", states), ("u", () if wide else inputs)):
             for j, signal in enumerate(signals):
-                if len(states) <= _WIDE or _belong(physics, state, signal, j):
+                if not wide or _belong(state, signal):
                     found[f"{state.name} by {signal.name}"] = Where("state", i, (kind, j))
     for j, signal in enumerate(inputs):
         found[f"{signal.name} by itself"] = Where("input", j, ("u", j))
-        found[f"{signal.name} by its history"] = Where("history", j, ("u", j))
+        if not wide:
+            found[f"{signal.name} by its history"] = Where("history", j, ("u", j))
     for j, signal in enumerate(outputs):
         found[f"reading of {signal.name} by itself"] = Where("output", j, ("y", j))
     return found
 
 
-def _belong(physics: Physics, state: Signal, signal: Signal, index: int) -> bool:
-    """Is the signal about the same output as a rate?"""
-    if state.rate_of is None:
-        return False
-    names = [output.name for output in physics.outputs]
-    same = signal.like == state.rate_of or signal.rate_of == state.rate_of
-    return same or (signal in physics.inputs and index == names.index(state.rate_of))
+def _belong(state: Signal, signal: Signal) -> bool:
+    """Is the signal the output whose rate the state is, or that rate?"""
+    return state.rate_of is not None and state.rate_of in (signal.like, signal.rate_of)
 
 
 def flexible_effects(physics: Physics) -> tuple[Effect, ...]:

@@ -25,7 +25,7 @@ from pgrssnn_jax.members import over_devices
 from pgrssnn_jax.records import Array
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
-_TOLERANCE = 1e-6  # relative fall of the cost below which a lane rests
+_OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice
 _TINY = 1e-13  # of a scaled diagonal
 _GIVE_UP = 1e6  # damping at which no step is left
 _PRIOR = 1e-7  # of one squared scaled error per squared relative change: decides only what the data do not
@@ -49,10 +49,13 @@ class Fitted(NamedTuple):
     cost: Float[Array, " lane"]
 
 
-def fit(problem: Problem, signals: Signals, lanes: Lanes, *, steps: int, devices: int = 1) -> Fitted:
-    """At most `steps` steps per lane; a lane rests when its cost no longer falls. Double precision."""
-    lanes = Lanes(*map(np.asarray, lanes))
-    return Fitted(*map(np.asarray, _fit(problem.code, devices, _limits(problem), jnp.asarray(steps), lanes, signals)))
+def fit(
+    problem: Problem, signals: Signals, lanes: Lanes, *, steps: int, tolerance: float = 1e-6, devices: int = 1
+) -> Fitted:
+    """At most `steps` steps per lane; a lane rests when its cost falls by less than `tolerance`, relative. Double
+    precision."""
+    lanes, patience = Lanes(*map(np.asarray, lanes)), Patience(jnp.asarray(steps), jnp.asarray(tolerance))
+    return Fitted(*map(np.asarray, _fit(problem.code, devices, _limits(problem), patience, lanes, signals)))
 
 
 def sensitivity(problem: Problem, signals: Signals, lanes: Lanes) -> tuple[np.ndarray, np.ndarray]:
@@ -77,6 +80,13 @@ class Limits(NamedTuple):
     size: Float[Array, " p"]
     given: Float[Array, " p"]
     precision: Float[Array, " p"]
+
+
+class Patience(NamedTuple):
+    """Steps at most, and the relative fall of the cost below which a lane rests."""
+
+    steps: Int[Array, ""]
+    tolerance: Float[Array, ""]
 
 
 def _limits(problem: Problem) -> Limits:
@@ -202,15 +212,15 @@ class _State(NamedTuple):
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _fit(
-    code: Code, devices: int, limits: Limits, steps: jax.Array, lanes: Lanes, signals: Signals
+    code: Code, devices: int, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals
 ) -> tuple[jax.Array, ...]:
     def on_one_device(lanes: Lanes) -> tuple[jax.Array, ...]:
-        return _fit_lanes(code, limits, steps, lanes, signals)
+        return _fit_lanes(code, limits, patience, lanes, signals)
 
     return over_devices(on_one_device, devices)(lanes)
 
 
-def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
+def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
     u, y, w = (_time_first(a) for a in signals[:3])
     theta0, x0, free = _lanes_last(lanes)
     counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)[None, None]  # [seq, time, lane]
@@ -221,6 +231,7 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
     n = weight.shape[0] * weight.shape[1] * weight.shape[2]
     prior = _PRIOR * n / size**2  # [p, 1]
     precision = jnp.transpose(jnp.asarray(signals.precision), (1, 0))[..., None]  # [x, seq, 1]
+    dampings = _DAMPINGS if x0.shape[1] == 1 else _OF_MANY
     used = free >= 0
     place = jnp.where(used, free, 0).T  # [k, lane]
 
@@ -259,8 +270,8 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         chosen_theta = jnp.take_along_axis(trial_theta, best[None, None], 0)[0]
         chosen_x0 = jnp.take_along_axis(trial_x0, best[None, None, None], 0)[0]
         chosen_moved = jnp.take_along_axis(moved, best[None, None], 0)[0]
-        still = (now - cost <= _TOLERANCE * now) | (~better & (state.damping > _GIVE_UP))
-        damping = jnp.where(better, jnp.asarray(_DAMPINGS)[best] * state.damping, state.damping * 30.0)
+        still = (now - cost <= patience.tolerance * now) | (~better & (state.damping > _GIVE_UP))
+        damping = jnp.where(better, jnp.asarray(dampings)[best] * state.damping, state.damping * 30.0)
         return _State(
             jnp.where(better, chosen_theta, state.theta),
             jnp.where(better, chosen_x0, state.x0),
@@ -300,7 +311,7 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         back = back + jnp.where(held > 0, held * (given[place, 0] - now).T, 0.0)
         back = jnp.where(used & jnp.isfinite(back), back, 0.0)
         shift = jnp.stack(
-            [_step(normal, pull, moves, near + held, back, state, d * state.damping) for d in _DAMPINGS]
+            [_step(normal, pull, moves, near + held, back, state, d * state.damping) for d in dampings]
         )  # [trial, lane, k + seq s]
         delta, delta_x = shift[..., :k], shift[..., k:]
         moved = jnp.clip(now.T[None] + delta, lowest.T[None], highest.T[None])  # [trial, lane, k]
@@ -309,7 +320,7 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
             moved
         )
         by_start = _by_start(code)
-        delta_x = delta_x.reshape(len(_DAMPINGS), free.shape[0], x0.shape[1], by_start.shape[1])
+        delta_x = delta_x.reshape(len(dampings), free.shape[0], x0.shape[1], by_start.shape[1])
         return theta, state.x0[None] + jnp.einsum("xs,dlqs->dxql", by_start, delta_x)
 
     def _step(
@@ -353,5 +364,5 @@ def _fit_lanes(code: Code, limits: Limits, steps: jax.Array, lanes: Lanes, signa
         jnp.zeros(lane, bool),
         jnp.zeros((), jnp.int32),
     )
-    state = jax.lax.while_loop(lambda s: (s.taken < steps) & ~s.resting.all(), step, state)
+    state = jax.lax.while_loop(lambda s: (s.taken < patience.steps) & ~s.resting.all(), step, state)
     return state.theta.T, jnp.transpose(state.x0, (2, 1, 0)), state.cost

@@ -24,6 +24,7 @@ from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, chance, size_a
 _CHUNK = 24  # numbers in one linearisation
 _DRAWS = 200  # of the null, at most
 _FINALISTS = 4  # candidates that are fitted properly
+_BEYOND_REACH = 1.5  # times the best cost that was reached: candidates whose promise is above it are not fitted
 _HOPELESS = 0.2  # p-value of what its linear step promises, above which a candidate is not fitted
 _LOST = 10.0  # standard deviations: an error that a free run which has left the range counts
 _RIDGE = 1e-9
@@ -45,7 +46,7 @@ class Reduced(NamedTuple):
 def look_linear(
     problem: Problem,
     cuts: Sequence[Signals],
-    base: Guess,
+    base: Guess | Validated,
     settings: Settings,
     rules: Rules,
     rng: np.random.Generator,
@@ -58,41 +59,56 @@ def look_linear(
     cuts: stretches from short to long, one more for every effect that is there; whole: sequences uncut, with their
     starts, for the free run that has the last word.
     """
+    known = base if isinstance(base, Validated) else None
+    base = base.guess if isinstance(base, Validated) else base
     signals = cuts[min(len(base.active), len(cuts) - 1)]
-    if base.x0.shape != signals.start.shape:
-        base = base._replace(x0=signals.start)
-    ((base, cost),) = fit_all(problem, signals, [base], settings)
+    if known is None:
+        if base.x0.shape != signals.start.shape:
+            base = base._replace(x0=signals.start)
+        ((base, _),) = fit_all(problem, signals, [base], settings)
     own = np.concatenate([problem.of(name) for name in (None, *base.active)])
     own = own[np.isfinite(base.theta[own])]
-    fold = signals.block[:, 0]
-    reference = left_out(problem, signals, base, own)
+    reference = known or left_out(problem, signals, base, own)
     noise = surrogates(reference.estimate.error, min(rules.draws, _DRAWS), rng).astype(np.float32)
-    noise = noise.reshape(len(noise), len(fold), -1)
-    energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
-    promised: dict[str, tuple[float, Guess]] = {}
-    falls = np.zeros(len(noise))
-    (alone,) = _linearised(problem, signals, base, [own], own)
-    at_best, _, _ = _solve(alone, fold)
-    for guess, reduced in _candidates(problem, signals, base, own, without):
-        left, _, _ = _solve(reduced, fold)
-        falls = np.maximum(falls, _fall(reduced, noise, len(own)) / energy)
-        if guess.active[-1] not in promised or left < promised[guess.active[-1]][0]:
-            promised[guess.active[-1]] = (left, guess)
-    falls = np.sort(falls)
-    ranked = sorted(promised.items(), key=lambda item: item[1][0])
-    promises = [Candidate(name, (at_best - left) / cost, None, guess) for name, (left, guess) in ranked]
+    cost, promises, falls = _promised(problem, signals, base, own, without, noise)
     hopeful = [c for c in promises[:_FINALISTS] if chance(falls, c.gain) <= _HOPELESS]
-    found = promises[_FINALISTS:] + [c for c in promises[:_FINALISTS] if chance(falls, c.gain) > _HOPELESS]
-    fits = fit_all(problem, signals, [c.guess for c in hopeful], settings)
-    for promise, (fitted, reached) in zip(hopeful, fits, strict=True):
-        more = problem.of(promise.name)
-        places = np.concatenate([own, more[np.isfinite(fitted.theta[more])]])
-        validated = left_out(problem, signals, fitted, places)
-        error = _free_run(problem, whole, fitted)
-        found.append(Candidate(promise.name, 1.0 - reached / cost, validated, fitted, error))
+    found = [c for c in promises if c.name not in {h.name for h in hopeful}]
+    best = np.inf
+    for i in range(0, len(hopeful), settings.lanes):
+        several = hopeful[i : i + settings.lanes]
+        if (1.0 - several[0].gain) * cost > _BEYOND_REACH * best:
+            found += hopeful[i:]
+            break
+        for fitted, reached in fit_all(problem, signals, [c.guess for c in several], settings):
+            name, best = fitted.active[-1], min(best, reached)
+            more = problem.of(name)
+            places = np.concatenate([own, more[np.isfinite(fitted.theta[more])]])
+            validated = left_out(problem, signals, fitted, places)
+            found.append(Candidate(name, 1.0 - reached / cost, validated, fitted, _free_run(problem, whole, fitted)))
     ordered = tuple(sorted(found, key=lambda c: (c.cost, -c.gain)))
     tried = [reference, *(c.validated for c in ordered if c.validated)]
     return Stage(reference, ordered, falls, {}, *size_and_noise(signals, tried), _free_run(problem, whole, base))
+
+
+def _promised(
+    problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str], noise: np.ndarray
+) -> tuple[float, list[Candidate], np.ndarray]:
+    """Cost of the base, what one linear step promises of every candidate, the best first, and the largest gain in each
+    draw of noise `[draw, seq, time, y]`, sorted."""
+    fold = signals.block[:, 0]
+    noise = noise.reshape(len(noise), len(fold), -1)
+    energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
+    best: dict[str, tuple[float, Guess]] = {}
+    falls = np.zeros(len(noise))
+    (alone,) = _linearised(problem, signals, base, [own], own)
+    cost, _, _ = _solve(alone, fold)
+    for guess, reduced in _candidates(problem, signals, base, own, without):
+        left, _, _ = _solve(reduced, fold)
+        falls = np.maximum(falls, _fall(reduced, noise, len(own)) / energy)
+        if guess.active[-1] not in best or left < best[guess.active[-1]][0]:
+            best[guess.active[-1]] = (left, guess)
+    ranked = sorted(best.items(), key=lambda item: item[1][0])
+    return cost, [Candidate(name, 1.0 - left / cost, None, guess) for name, (left, guess) in ranked], np.sort(falls)
 
 
 def left_out(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray) -> Validated:
@@ -116,6 +132,7 @@ def _candidates(
 ) -> list[tuple[Guess, Reduced]]:
     """Every effect at every start. Effects that begin at their neutral numbers share linearisations."""
     reach = reach_of(problem, signals, base)
+    shared = base.theta  # numbers that no fit moves, the reach of a signal say, may differ: neutral effects do nothing
     together: list[tuple[str, np.ndarray]] = []
     apart: list[tuple[Guess, np.ndarray]] = []
     for effect in problem.effects:
@@ -124,15 +141,17 @@ def _candidates(
         places = problem.of(effect.name)
         for numbers in effect.starts(reach):
             theta = problem.put(base.theta, effect.name, numbers)
-            if np.array_equal(theta, base.theta):
+            if np.array_equal(theta[places], base.theta[places]):
+                shared = problem.put(shared, effect.name, numbers)
                 together.append((effect.name, places))
             else:
                 free = places[np.isfinite(theta[places])]
                 apart.append((Guess((*base.active, effect.name), theta, base.x0), free))
     found = []
-    reduced = _linearised(problem, signals, base, [places for _, places in together], own)
+    neutral = base._replace(theta=shared)
+    reduced = _linearised(problem, signals, neutral, [places for _, places in together], own)
     for (name, _), one in zip(together, reduced, strict=True):
-        found.append((base._replace(active=(*base.active, name)), one))
+        found.append((neutral._replace(active=(*base.active, name)), one))
     for guess, places in apart:
         (one,) = _linearised(problem, signals, guess, [places], own)
         found.append((guess, one))

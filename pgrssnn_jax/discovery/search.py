@@ -34,7 +34,8 @@ class Rules(NamedTuple):
 
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of what is left of the gap; finalists: candidates that are cross-validated;
+    least `rest` of what is left of the gap; further: the same for more numbers of one effect (the second end of a
+    range); finalists: candidates that are cross-validated;
     most: effects that may be found; draws: of the null; open: part of the gap left after which other beginnings are
     tried; beam: how many.
     """
@@ -43,7 +44,8 @@ class Rules(NamedTuple):
     share: float = 0.02
     least: float = 0.02
     rest: float = 0.5
-    visible: float = 0.1
+    visible: float = 0.04
+    further: float = 0.1
     finalists: int = 6
     most: int = 4
     draws: int = 2000
@@ -153,8 +155,8 @@ def search(
     # what did as well as the first at the beginning may be what the second one needs beside it
     tied = [c for c in others if c.cost**0.5 - best**0.5 <= _AS_GOOD * judge.gap]
     current = _other_beginnings(judge, first, current, tied if closed else others)
-    stages = {name: look(_without(problem, current, name)) for name in current.active}
     last = look(current)
+    stages = {name: _knowing(look(_without(problem, current, name)), name, last) for name in current.active}
     return Found(first.base, last.base, stages, first, last, min(first.noise, last.noise))
 
 
@@ -246,7 +248,7 @@ def _best_of_each(
     problem: Problem, fitted: Sequence[tuple[Guess, float]], rules: Rules
 ) -> dict[str, tuple[Guess, float]]:
     """The best fit of every effect; one with fewer numbers (an end of a range that is not there) where another brings
-    no visible fall of the error energy, because a superfluous number stands in for what is still to be found."""
+    no such fall of the error energy, because a superfluous number stands in for what is still to be found."""
     best: dict[str, tuple[Guess, float]] = {}
     for guess, cost in sorted(fitted, key=lambda found: _count(problem, found[0])):
         name = guess.active[-1]
@@ -254,7 +256,7 @@ def _best_of_each(
             continue
         now = best.get(name)
         more = now is not None and _count(problem, guess) > _count(problem, now[0])
-        if now is None or cost < (1.0 - rules.visible * more) * now[1]:
+        if now is None or cost < (1.0 - rules.further * more) * now[1]:
             best[name] = (guess, cost)
     return best
 
@@ -327,12 +329,24 @@ def _exchange(judge: _Judge, current: Guess) -> Guess:
         if len(current.active) == 1:
             break
         rest = _without(judge.problem, current, name)
-        best = _chosen(judge, judge.look(rest))
+        best = _chosen(judge, _knowing(judge.look(rest), name, judge.look(current)))
         if best is None:
             current = judge.look(rest).base.guess
         elif best.name != name:
             current = best.guess
     return current
+
+
+def _knowing(stage: Stage, name: str, beside: Stage) -> Stage:
+    """The look without an effect, with the model that has it, beside which another look was taken, in the place of a
+    worse fit of it: that is what others must do better than."""
+    own, fitted = next((c for c in stage.candidates if c.name == name), None), beside.base
+    if fitted.held_out.shape != stage.base.held_out.shape or (own is not None and own.cost <= fitted.cost):
+        return stage
+    gain = 1.0 - fitted.estimate.cost / stage.base.estimate.cost
+    known = Candidate(name, gain, fitted, fitted.guess, beside.free_run)
+    others = [c for c in stage.candidates if c.name != name]
+    return stage._replace(candidates=tuple(sorted((known, *others), key=lambda c: (c.cost, -c.gain))))
 
 
 def _with(theta: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:

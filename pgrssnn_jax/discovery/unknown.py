@@ -10,17 +10,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Settings, Validated, evaluate
+from pgrssnn_jax.discovery.estimate import Validated, evaluate
 from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
-from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, look_at
+from pgrssnn_jax.discovery.search import Candidate, Stage
 from pgrssnn_jax.physics.base import Physics
 
 _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
 _LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
 _LINE_SHARE = 0.1  # of the energy of the errors
 _NEIGHBOURS = 25  # bins on either side, at most
-_LANES = 16  # fits at a time
 _PERIODS = 8  # in the record, at least: of fewer, slow errors and a line look alike
 
 
@@ -50,22 +49,11 @@ def flexible_problem(problem: Problem) -> Problem:
     return build_problem(problem.physics, (*problem.effects, *flexible_effects(problem.physics)), fixed=sorted(fixed))
 
 
-def look_beyond(
-    problem: Problem,
-    flexible: Problem,
-    signals: Signals,
-    beside: Validated,
-    settings: Settings,
-    rules: Rules,
-    rng: np.random.Generator,
-) -> Stage:
-    """What flexible corrections add to a model of the catalogue, judged as named effects are. signals: `flexible`'s."""
-    known = [effect.name for effect in problem.effects]
-    theta, x0 = carried(problem, flexible, beside.estimate.theta, beside.estimate.x0, signals.start)
-    folds = np.stack([carried(problem, flexible, t, beside.estimate.x0, signals.start)[0] for t in beside.folds])
-    base = beside._replace(estimate=beside.estimate._replace(theta=theta, x0=x0), folds=folds)
-    few = settings._replace(lanes=_LANES, spare=2 * settings.spare)
-    return look_at(flexible, signals, base, few, rules._replace(finalists=2), rng, known)
+def in_flexible(problem: Problem, flexible: Problem, model: Validated, start: Float[np.ndarray, "seq x"]) -> Validated:
+    """A model of the catalogue as one of `flexible_problem(problem)`; start: x_0 of states that are new there."""
+    theta, x0 = carried(problem, flexible, model.estimate.theta, model.estimate.x0, start)
+    folds = np.stack([carried(problem, flexible, t, model.estimate.x0, start)[0] for t in model.folds])
+    return model._replace(estimate=model.estimate._replace(theta=theta, x0=x0), folds=folds)
 
 
 def formula(

@@ -30,7 +30,8 @@ _FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that 
 _CERTAIN = 0.98  # probability that it is the better one
 _LARGE, _NEARLY_CERTAIN = 1 / 3, 0.9  # fall of the error energy, and the probability that then is enough
 _BEYOND_LUCK = 1.25  # times the largest gain by luck: what names leave near the noise is then no noise
-_NAMELESS = 0.05  # part of the gap that counts where no name closes any of it though errors are far above the noise
+_EXPLAINED = 0.5  # part of the gap that names must close to be more than a help where errors stay far above the noise
+_NAMELESS = 0.05  # part of the gap that counts where names close little of it though errors are far above the noise
 _LIKELY = 0.75  # probability that is enough there, if its gain is not luck
 
 
@@ -79,19 +80,39 @@ def _unexplained(
     found: Found, beyond: Beyond, gap: float, rules: Rules, rng: np.random.Generator
 ) -> tuple[Stage, Candidate] | None:
     """A correction without a name that does clearly better than the named effects, in their place or beside them."""
+    if found.first.free_run is not None:
+        return _beside_in_stretches(beyond.beside, found.first.free_run, rules, rng)
     alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
     far, named = found.final.cost > _FAR * found.floor, bool(found.final.estimate.active)
+    explained = named and found.recalibrated.cost**0.5 - found.final.cost**0.5 >= _EXPLAINED * gap
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
         if stage is None:
             continue
         for one in (candidate for candidate in stage.candidates if candidate.validated):
             gains = _gains(found, stage, one, gap, rng)
-            enough = _says_where(gains, rules) if far and not named else _outweighs(gains, least, visible, rules)
+            enough = _says_where(gains, rules) if far and not explained else _outweighs(gains, least, visible, rules)
             bends = named and not far and stage is beyond.beside
             if enough or (bends and _beyond_luck(gains, rules)):
                 return stage, one
+    return None
+
+
+def _beside_in_stretches(
+    stage: Stage | None, begun: float, rules: Rules, rng: np.random.Generator
+) -> tuple[Stage, Candidate] | None:
+    """Errors of stretches are far above the noise, a correction visibly lowers them, and the free run too; begun: error
+    of the free run without effects."""
+    if stage is None or stage.free_run is None or stage.base.cost <= _FAR * stage.noise * stage.size:
+        return None
+    for one in stage.candidates:
+        if one.validated is None or one.free_run is None:
+            continue
+        visible = one.cost <= (1.0 - _VISIBLE_INSTEAD) * stage.base.cost
+        sure = stage.p_value(one) <= rules.p_value and chance_better(one.validated, stage.base, rng) >= _CERTAIN
+        if visible and sure and stage.free_run - one.free_run >= rules.share * begun:
+            return stage, one
     return None
 
 
@@ -132,7 +153,7 @@ def _outweighs(gains: _Gains, least: float, visible: float, rules: Rules) -> boo
 
 
 def _says_where(gains: _Gains, rules: Rules) -> bool:
-    """Errors are far above the noise and no name helps: something is missing, and less proof says where."""
+    """Errors are far above the noise and no name helps much: something is missing, and less proof says where."""
     if gains.share < _NAMELESS or gains.fall < rules.least:
         return False
     certain = _NEARLY_CERTAIN if gains.fall >= _LARGE else _CERTAIN

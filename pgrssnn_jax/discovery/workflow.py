@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
+from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.linear import left_out, look_linear
 from pgrssnn_jax.discovery.noise import noise_floor
@@ -28,19 +28,21 @@ from pgrssnn_jax.discovery.prove import (
     prove,
     recalibrated_from_spread,
 )
-from pgrssnn_jax.discovery.search import Found, look_at, search
+from pgrssnn_jax.discovery.search import Found, Stage, look_at, search
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup, Start
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end, stretches
-from pgrssnn_jax.discovery.unknown import Formula, Line, flexible_problem, formula, look_beyond, spectral_line
+from pgrssnn_jax.discovery.unknown import Formula, Line, flexible_problem, formula, in_flexible, spectral_line
 from pgrssnn_jax.discovery.verdict import Beyond, Judged, judge
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.records import Record, take
 
 _STEPS = 12  # of a fit to stretches: they are nearly linear
+_ROUGH, _FINE = 1e-3, 1e-6  # tolerance: candidates differ by far more, the final numbers are fitted to the end
 # sequences in which effects are looked for, first and beside others; their numbers are fitted to all
-_SEARCHED = (10, 20)
+_SEARCHED = (12, 24)
 _LANES = 4  # fits to stretches at a time, on as many devices
+_FLEXIBLE_LANES = 16  # fits with a correction at a time: the fastest number
 _SPARE = 14  # numbers that such fits have places for: compiling takes longer than the places that stay empty
 _LOCATED = 24  # sequences or stretches whose correction is estimated
 _AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no line is looked for
@@ -102,7 +104,7 @@ def discover_in(
     settings = Settings(steps=chosen.steps, devices=jax.device_count())
     if in_stretches:
         lanes = min(_LANES, settings.devices)
-        settings = Settings(spare=_SPARE, lanes=lanes, devices=lanes, steps=min(chosen.steps, _STEPS))
+        settings = Settings(_SPARE, lanes, min(chosen.steps, _STEPS), _ROUGH, lanes)
     with jax.enable_x64(True):
         cuts = [_cut(problem, estimation, chosen, stage, start) for stage in range(max(1, len(chosen.stretches)))]
         record = uncut = cuts[0]
@@ -129,19 +131,24 @@ def discover_in(
         with _timed(seconds, "locate"):
             located, x, correction = _located(problem, record, found, len(record.u) // len(uncut.u))
         with _timed(seconds, "judge"):
-            beyond, told, wide = Beyond(None, None, None), None, None
-            if not in_stretches:
-                flexible = hold(flexible or flexible_problem(problem))
+            flexible = hold(flexible or flexible_problem(problem))
+            common |= {"without": [effect.name for effect in problem.effects]}
+            if in_stretches:
+                wide = cuts[min(len(found.final.estimate.active), len(cuts) - 1)]
+                examine = partial(look_linear, flexible, [wide], whole=uncut, **common)
+                beyond = Beyond(examine(in_flexible(problem, flexible, found.last.base, wide.start)), None, None)
+            else:
                 wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)
-                beyond = _beyond(problem, flexible, wide, found, settings, chosen, rng)
+                common["settings"] = settings._replace(lanes=_FLEXIBLE_LANES, spare=2 * settings.spare)
+                common["rules"] = chosen.rules._replace(finalists=2)
+                beyond = _beyond(problem, flexible, found, wide, partial(look_at, flexible, wide, **common))
                 beyond = beyond._replace(line=_line(problem, record, found))
             before = evaluate(problem, record, given).cost
             judged = judge(problem, found, beyond, before, chosen.rules, chosen.seed)
+            told = None
             if judged.unexplained is not None:
-                assert flexible is not None
-                assert wide is not None
                 stage, best = judged.unexplained
-                _, states = simulate(flexible, record.u, best.guess.theta[None], best.guess.x0[None])
+                _, states = simulate(flexible, wide.u, best.guess.theta[None], best.guess.x0[None])
                 told = formula(flexible, wide, stage, best, states[0])
         with _timed(seconds, "prove"):
             merit = merit_for(test, 0 if start is not Start.UNKNOWN else chosen.n_init)
@@ -203,7 +210,9 @@ def _polished(
     spread = np.zeros((1, len(theta)))
     for stage in range(len(chosen.stretches)):
         every = _cut(problem, estimation, chosen, stage, start, searched=False)
-        ((fitted, _),) = fit_all(problem, every, [Guess(active, theta, every.start)], settings)
+        ((fitted, _),) = fit_all(
+            problem, every, [Guess(active, theta, every.start)], settings._replace(tolerance=_FINE)
+        )
         theta = fitted.theta
         if stage == 0:
             folds = left_out(problem, every, fitted, places).folds
@@ -263,20 +272,13 @@ def _line(problem: Problem, record: Signals, found: Found) -> Line | None:
 
 
 def _beyond(
-    problem: Problem,
-    flexible: Problem,
-    record: Signals,
-    found: Found,
-    settings: Settings,
-    chosen: DiscoverySettings,
-    rng: np.random.Generator,
+    problem: Problem, flexible: Problem, found: Found, record: Signals, examine: Callable[[Validated], Stage]
 ) -> Beyond:
-    """Is there more than the named effects, or something better than they?"""
-    beside = look_beyond(problem, flexible, record, found.final, settings, chosen.rules, rng)
-    alone = None
-    if found.final.estimate.active:
-        alone = look_beyond(problem, flexible, record, found.recalibrated, settings, chosen.rules, rng)
-    return Beyond(beside, alone, None)
+    """Is there more than the named effects, or something better than they? record: `flexible`'s."""
+    beside = examine(in_flexible(problem, flexible, found.final, record.start))
+    if not found.final.estimate.active:
+        return Beyond(beside, None, None)
+    return Beyond(beside, examine(in_flexible(problem, flexible, found.recalibrated, record.start)), None)
 
 
 @contextmanager

@@ -89,7 +89,15 @@ def test_where_no_name_helps_and_errors_are_far_above_the_noise_a_likely_correct
     assert verdict(problem, **far, name=()) is Verdict.UNKNOWN_EFFECT
     assert verdict(problem, **far, name=(), by_luck=0.02) is Verdict.NO_DISCREPANCY
     assert verdict(problem, **near, name=()) is Verdict.NO_DISCREPANCY
-    assert verdict(problem, **far) is Verdict.EFFECT_FOUND
+    assert verdict(problem, **(far | {"recalibrated": 3600.0})) is Verdict.EFFECT_FOUND
+
+
+@pytest.mark.parametrize(
+    ("recalibrated", "expected"), [(900.0, Verdict.UNKNOWN_EFFECT), (3600.0, Verdict.EFFECT_FOUND)]
+)
+def test_names_that_close_less_than_half_of_the_gap_explain_little(problem, recalibrated, expected):
+    energies = {"recalibrated": recalibrated, "named": 400.0, "corrected": 320.0, "spread": 0.5}
+    assert verdict(problem, **energies) is expected
 
 
 @pytest.mark.parametrize(("luckiest", "expected"), [(0.03, Verdict.UNKNOWN_EFFECT), (0.08, Verdict.EFFECT_FOUND)])
