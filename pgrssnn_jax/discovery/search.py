@@ -36,8 +36,8 @@ class Rules(NamedTuple):
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
     least `rest` of what is left of the gap; further: the same for more numbers of one effect (the second end of a
     range); finalists: candidates that are cross-validated;
-    most: effects that may be found; draws: of the null; open: part of the gap left after which other beginnings are
-    tried; beam: how many.
+    most: effects that may be found; draws: of the null; open, far: part of the gap left, or times the energy of the
+    noise, after which other beginnings are tried; beam: how many.
     """
 
     p_value: float = 0.01
@@ -50,6 +50,7 @@ class Rules(NamedTuple):
     most: int = 4
     draws: int = 2000
     open: float = 0.05
+    far: float = 2.0
     beam: int = 3
 
 
@@ -149,7 +150,8 @@ def search(
     first = look(start)
     judge = _Judge(problem, look, first.base.cost, first.noise * first.size, rules, first.free_run)
     current = _settled(judge, start)
-    closed = look(current).base.cost ** 0.5 - judge.floor**0.5 <= rules.open * judge.gap
+    reached = look(current).base.cost
+    closed = reached**0.5 - judge.floor**0.5 <= rules.open * judge.gap and reached <= rules.far * judge.floor
     others = [c for c in first.candidates if c.name not in current.active][: rules.beam]
     best = first.candidates[0].cost if first.candidates else 0.0
     # what did as well as the first at the beginning may be what the second one needs beside it
@@ -276,16 +278,21 @@ def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     as_good = [c for c in passing if c.cost**0.5 - best.cost**0.5 <= _AS_GOOD * (judge.gap + best.cost**0.5)]
     simpler = [c for c in as_good if c.name in judge.problem.effect(best.name).simpler]
     fewer = _count(judge.problem, best.guess)
-    leaner = [c for c in as_good if _count(judge.problem, c.guess) < fewer and _within_one_error(c, best)]
+    leaner = [
+        c
+        for c in as_good
+        if _count(judge.problem, c.guess) < fewer
+        and c.validated is not None
+        and best.validated is not None
+        and _within_one_error(c.validated, best.validated)
+    ]
     return next(iter((*simpler, *leaner)), best)
 
 
-def _within_one_error(one: Candidate, best: Candidate) -> bool:
+def _within_one_error(one: Validated, better: Validated) -> bool:
     """Is the difference in blocks left out below its standard error? Source of the rule: Hastie, Tibshirani, Friedman,
     The Elements of Statistical Learning, 2009, section 7.10."""
-    if one.validated is None or best.validated is None:
-        return False
-    difference = block_sums(one.validated.held_out**2 - best.validated.held_out**2)
+    difference = block_sums(one.held_out**2 - better.held_out**2)
     return bool(difference.sum() <= len(difference) ** 0.5 * difference.std(ddof=1))
 
 
@@ -299,7 +306,7 @@ def _other_beginnings(judge: _Judge, first: Stage, current: Guess, others: Seque
         best = _chosen(judge, judge.look(other.guess))
         if best is not None and best.cost < pair:
             found = _settled(judge, best.guess)
-            if judge.look(found).base.cost < judge.look(current).base.cost:
+            if not _within_one_error(judge.look(current).base, judge.look(found).base):
                 current = found
     return current
 
