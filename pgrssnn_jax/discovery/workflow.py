@@ -107,10 +107,8 @@ def discover_in(
         settings = Settings(_SPARE, lanes, min(chosen.steps, _STEPS), _ROUGH, lanes)
     with jax.enable_x64(True):
         cuts = [_cut(problem, estimation, chosen, stage, start) for stage in range(max(1, len(chosen.stretches)))]
-        record = uncut = cuts[0]
-        if in_stretches:
-            in_one = replace(chosen, stretches=[estimation.u.shape[1]])
-            uncut = _cut(problem, estimation, in_one, 0, start)
+        record, in_one = cuts[0], replace(chosen, stretches=[estimation.u.shape[1]] if in_stretches else [])
+        uncut = _cut(problem, estimation, in_one, 0, start)
         whole = estimation._replace(u=uncut.u, y=uncut.y, mask=uncut.weight > 0)
         with _timed(seconds, "recalibrate"):
             _check_free_run(problem, record)
@@ -134,8 +132,10 @@ def discover_in(
             flexible = hold(flexible or flexible_problem(problem))
             common |= {"without": [effect.name for effect in problem.effects]}
             if in_stretches:
-                wide = cuts[min(len(found.final.estimate.active), len(cuts) - 1)]
-                examine = partial(look_linear, flexible, [wide], whole=uncut, **common)
+                stage = min(len(found.final.estimate.active), len(cuts) - 1)
+                wide = _cut(flexible, estimation, chosen, stage, start)
+                runs = _cut(flexible, estimation, in_one, 0, start)
+                examine = partial(look_linear, flexible, [wide], whole=runs, **common)
                 beyond = Beyond(examine(in_flexible(problem, flexible, found.last.base, wide.start)), None, None)
             else:
                 wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)

@@ -3,17 +3,20 @@
     torques      `pgrssnn_jax.physics.arm.torques`: friction, bias, gain, counterbalance, coupling of the wrist
     masses       `pgrssnn_jax.physics.arm.changed`: payload, motor inertia, direction of gravity
     after a step `pgrssnn_jax.physics.arm.stops`: end stops, stiction;  q̇_t ← q̇_t + S q̇_{t-1} in `arm.py`
-    measurement  y = q + b
+    measurement  y = q + b, where the state is y
 
-An arm looks for the numbers of an effect by its name, so adding one is putting its numbers there; only a measured
-position is changed from outside. Numbers are per joint unless said otherwise. Friction here is beside the known one.
+An arm looks for the numbers of an effect by its name, so adding one is putting its numbers there; only the zero of the
+encoders is changed from outside. Numbers are per joint unless said otherwise. Friction here is beside the known one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Numbers, Reach, on_output
+from pgrssnn_jax.effects.base import Effect, Numbers, Reach
 from pgrssnn_jax.physics.base import Parameter, Physics
 
 _INFINITE = float("inf")
@@ -305,7 +308,16 @@ def velocity_disturbance(n: int) -> Effect:
 
 
 def home_offset(n: int) -> Effect:
+    """The state holds what the encoders read, so that a record says where a run starts whatever the offset."""
     name, parameters = "home_offset", {"offset": Parameter("b", "rad", bounds=(-np.pi, np.pi), neutral=0.0)}
+
+    def wrap(physics: Physics) -> Physics:
+        def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+            shift = jnp.zeros_like(x).at[:n].set(jnp.asarray(p[name]["offset"], x.dtype))
+            return physics.step(p, x - shift, u) + shift
+
+        return physics._replace(step=step)
+
     return Effect(
         name,
         "Zero of the encoders",
@@ -314,7 +326,7 @@ def home_offset(n: int) -> Effect:
         "measurement",
         parameters,
         _at_neutral(parameters, n),
-        lambda physics: on_output(physics, name, lambda p, y: y + p["offset"]),
+        wrap,
         {"offset": (n,)},
         channels="joint",
     )
