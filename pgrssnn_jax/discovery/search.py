@@ -25,6 +25,7 @@ from pgrssnn_jax.discovery.null import null_law, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
+_PART = 0.25  # of the share that an effect must close, where no draw of the null gains as much
 _ROUNDING = 1e-12  # of an energy; the least that other effects leave is 1e-6
 _AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
 
@@ -34,18 +35,16 @@ class Rules(NamedTuple):
 
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of what is left of the gap; further: the same for more numbers of one effect (the second end of a
-    range); finalists: candidates that are cross-validated;
-    most: effects that may be found; draws: of the null; open, far: part of the gap left, or times the energy of the
-    noise, after which other beginnings are tried; beam: how many.
+    least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
+    found; draws: of the null; open, far: part of the gap left, or times the energy of the noise, after which other
+    beginnings are tried; beam: how many.
     """
 
     p_value: float = 0.01
     share: float = 0.02
     least: float = 0.02
     rest: float = 0.5
-    visible: float = 0.04
-    further: float = 0.1
+    visible: float = 0.1
     finalists: int = 6
     most: int = 4
     draws: int = 2000
@@ -184,7 +183,8 @@ class _Judge(NamedTuple):
         gained = stage.base.cost**0.5 - candidate.cost**0.5
         left = max(stage.base.cost**0.5 - self.floor**0.5, 0.0)
         fall = 1.0 - candidate.cost / stage.base.cost if stage.base.cost > 0 else 0.0
-        clear = gained >= self.rules.share * self.gap and fall >= self.rules.least
+        surely = candidate.gain > stage.null.max()
+        clear = gained >= (_PART if surely else 1.0) * self.rules.share * self.gap and fall >= self.rules.least
         return clear or (gained >= self.rules.rest * left and fall >= self.rules.visible)
 
     @property
@@ -250,7 +250,7 @@ def _best_of_each(
     problem: Problem, fitted: Sequence[tuple[Guess, float]], rules: Rules
 ) -> dict[str, tuple[Guess, float]]:
     """The best fit of every effect; one with fewer numbers (an end of a range that is not there) where another brings
-    no such fall of the error energy, because a superfluous number stands in for what is still to be found."""
+    no visible fall of the error energy, because a superfluous number stands in for what is still to be found."""
     best: dict[str, tuple[Guess, float]] = {}
     for guess, cost in sorted(fitted, key=lambda found: _count(problem, found[0])):
         name = guess.active[-1]
@@ -258,7 +258,7 @@ def _best_of_each(
             continue
         now = best.get(name)
         more = now is not None and _count(problem, guess) > _count(problem, now[0])
-        if now is None or cost < (1.0 - rules.further * more) * now[1]:
+        if now is None or cost < (1.0 - rules.visible * more) * now[1]:
             best[name] = (guess, cost)
     return best
 

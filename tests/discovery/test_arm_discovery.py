@@ -17,6 +17,7 @@ from pgrssnn_jax.physics.arm.tables import ArmTables
 from pgrssnn_jax.physics.arm.urdf import read_urdf
 from pgrssnn_jax.records import Channel, Record, RecordInfo, record
 
+pytestmark = pytest.mark.xdist_group("arm discovery")  # one process, one compiled program
 SEQUENCES, SAMPLES, NOISE = 8, 120, 0.002  # rad
 NEUTRAL = Effects(np.zeros(2), np.zeros(2), np.ones(2), np.zeros(2))
 LINK = (

@@ -18,7 +18,11 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SYSTEMS = ("tanks", "pendulum", "lgssm")
 QUIET = {"tanks": 0.005, "pendulum": 0.002, "lgssm": 0.05}
-EFFECTS = [(system, name) for system in SYSTEMS for name in suite.catalogue(system).acts_on]
+EFFECTS = [
+    pytest.param(system, name, marks=pytest.mark.xdist_group(f"every effect of {system}"))
+    for system in SYSTEMS
+    for name in suite.catalogue(system).acts_on
+]  # one process per system, one compiled program
 
 
 def physics_of(case):
@@ -61,6 +65,7 @@ def test_a_hidden_effect_is_the_best_of_the_whole_catalogue(system, name):
     assert_first(look(case, case.train), case.accepted[0])
 
 
+@pytest.mark.xdist_group("every effect of pendulum")
 @pytest.mark.parametrize("name", ["sensor_gain", "input_gain", "input_lag"])
 def test_an_effect_of_the_instruments_is_the_best_of_the_whole_catalogue(name):
     case = suite.build(Plan("pendulum", 5, "none", (), (), QUIET["pendulum"]))

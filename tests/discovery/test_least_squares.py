@@ -71,6 +71,17 @@ def noisy(record: Signals) -> Signals:
     return record._replace(y=record.y + 0.05 * np.random.default_rng(3).standard_normal(record.y.shape))
 
 
+def test_a_coarse_tolerance_ends_sooner(problem, record):
+    free, start = at(problem, *OWN), np.tile(problem.theta, (3, 1))
+    given = lanes(problem, record, [free] * 3, start)
+    fine, coarse, one = (
+        fit(problem, record, given, steps=steps, tolerance=tolerance).cost.max()
+        for steps, tolerance in ((40, 1e-6), (40, 0.9999), (1, 1e-6))
+    )
+    assert fine < coarse
+    assert coarse <= one
+
+
 def test_scipy_finds_no_better_fit(problem, record):
     record, free = noisy(record), at(problem, *OWN)
     found = fit(problem, record, lanes(problem, record, [free] * 3), steps=60)
