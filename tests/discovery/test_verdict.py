@@ -112,3 +112,24 @@ def test_what_names_leave_near_the_noise_is_judged_by_what_luck_brings_at_most(p
 def test_where_most_of_the_error_energy_goes_near_certainty_is_enough(problem, corrected, expected):
     energies = {"recalibrated": 25.0, "named": 9.0, "corrected": corrected, "spread": 0.72}
     assert verdict(problem, **energies) is expected
+
+
+@pytest.mark.parametrize(
+    ("named", "corrected", "run", "by_luck", "expected"),
+    [
+        (4.0, 3.0, 0.8, 0.0, Verdict.UNKNOWN_EFFECT),
+        (1.5, 1.0, 0.8, 0.0, Verdict.EFFECT_FOUND),  # near the noise
+        (4.0, 3.9, 0.8, 0.0, Verdict.EFFECT_FOUND),  # hardly a fall
+        (4.0, 3.0, 1.0, 0.0, Verdict.EFFECT_FOUND),  # of no use in the free run
+        (4.0, 3.0, 0.8, 0.1, Verdict.EFFECT_FOUND),  # luck does as well
+    ],
+)
+def test_in_stretches_a_correction_must_help_the_free_run_too(problem, named, corrected, run, by_luck, expected):
+    """Energies in units of the noise's; run: error of the free run with the correction, 1 without it."""
+    final, better = (model(problem, energy, (NAME,)) for energy in (named, corrected))
+    correction = Candidate("boom by boom", 1.0 - corrected / named, better, better.guess, run)
+    null = np.where(np.arange(400) < 400 * by_luck, 1.0, 0.0)
+    beside = Stage(final, (correction,), null, {}, SAMPLES, 1.0, 1.0)
+    first = Stage(model(problem, 100.0), (), null, {}, SAMPLES, 1.0, 5.0)
+    found = Found(first.base, final, {NAME: first}, first, beside, 1.0)
+    assert judge(problem, found, Beyond(beside, None, None), 1e5, Rules(), 0).verdict is expected
