@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgrssnn_jax.discovery.search import Rules
+from pgrssnn_jax.discovery.stretches import check_stretches
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
@@ -103,7 +104,7 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     one = Splits(*(take(record, 0) for record in splits))
     estimation = join(one.train, one.validation)
     shared = conventions(config["data"]).shared_initial_state
-    stretches, fixed = _stretches(settings.stretches, physics), _fixed(settings.fixed, physics)
+    stretches, fixed = _stretches(settings.stretches, physics, estimation), _fixed(settings.fixed, physics)
     settings = replace(settings, stretches=stretches, fixed=fixed)
     start = Start.SHARED if shared else Start.AT_REST if config["initial_state"] == "zero" else Start.UNKNOWN
     _check(physics, estimation, one.test, settings, start)
@@ -127,10 +128,10 @@ def _fixed(names: Sequence[str], physics: Physics) -> list[str]:
     return found
 
 
-def _stretches(wanted: list | str, physics: Physics) -> list[int]:
+def _stretches(wanted: list | str, physics: Physics, estimation: Record) -> list[int]:
     """auto: an arm's free run over a whole record has no usable gradient, other systems' has."""
     if wanted == "auto":
-        return list(_ARM_STRETCHES) if physics.name == "arm" else []
+        return [min(n, estimation.u.shape[1]) for n in _ARM_STRETCHES] if physics.name == "arm" else []
     if not isinstance(wanted, list) or not all(type(n) is int and n >= 2 for n in wanted):
         raise ValueError(f"discovery.stretches: expected auto or a list of lengths in samples, found {wanted!r}")
     return wanted
@@ -146,6 +147,8 @@ def _check(physics: Physics, estimation: Record, test: Record, settings: Discove
                 if name == "train" and not (counted.size and counted.max() > counted.min()):
                     found = f"{counted.flat[0]:g} {signal.unit}".rstrip() if counted.size else "no measured sample"
                     raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
+    for length in settings.stretches:
+        check_stretches(estimation, length)
     samples, least = estimation.u.shape[1], _LEAST_BLOCKS * settings.folds * settings.block // len(estimation.u)
     if not settings.stretches and samples < max(least, settings.block):
         raise ValueError(

@@ -47,17 +47,22 @@ def _filtered(y: np.ndarray, samples: int, order: int, dt: float) -> np.ndarray:
     return np.asarray(savgol_filter(y, samples, _ORDER, deriv=order, delta=dt, axis=1))
 
 
-def stretches(problem: Problem, record: Record, length: int, *, folds: int, at_rest: bool) -> Signals:
-    """Signals of all stretches `[stretch, length, ...]`; whole records go into one fold. at_rest: records start from
-    zero. Raises `ValueError` for records shorter than the filter or a stretch, or with samples that are missing."""
-    u, y, mask = np.asarray(record.u), np.asarray(record.y), np.asarray(record.mask)
-    n_seq, time = u.shape[:2]
-    if time < max(length, _LONG) or not mask.all():
+def check_stretches(record: Record, length: int) -> None:
+    """Raises `ValueError` for records shorter than the filter or a stretch, or with samples that are missing."""
+    time, measured = record.u.shape[1], bool(np.asarray(record.mask).all())
+    if time < max(length, _LONG) or not measured:
         raise ValueError(
             f"data: train: expected sequences of at least {max(length, _LONG)} measured samples for "
-            f"discovery.stretches={length}, found {time}{'' if mask.all() else ' with some that were not measured'}"
+            f"discovery.stretches={length}, found {time}{'' if measured else ' with some that were not measured'}"
         )
-    y = y.astype(np.float64)
+
+
+def stretches(problem: Problem, record: Record, length: int, *, folds: int, at_rest: bool) -> Signals:
+    """Signals of all stretches `[stretch, length, ...]`; whole records go into one fold. at_rest: records start from
+    zero. Raises `ValueError` as `check_stretches`."""
+    check_stretches(record, length)
+    u, y = np.asarray(record.u), np.asarray(record.y, np.float64)
+    n_seq, time = u.shape[:2]
     filtered = smoothed(y, problem.physics.dt)
     begins = np.arange(0, time - length + 1, length)
     state, error = _states(problem, filtered)

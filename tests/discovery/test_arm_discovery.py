@@ -7,7 +7,7 @@ from discovery.small_cases import choices
 from benchmarks.hidden.arm_plant import Effects, controlled
 from pgrssnn_jax.datasets.arm_rig import planned
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.setup import Start
+from pgrssnn_jax.discovery.setup import Start, _stretches
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
@@ -60,6 +60,12 @@ def discovered(crane, *data, **changes) -> Discovery:
     _, problem, flexible = crane
     chosen = choices(stretches=[60, 60], fixed=["B", "Tc"], steps=12, **changes)
     return discover_in(problem, *data, chosen, lambda line: None, start=Start.AT_REST, flexible=flexible)
+
+
+def test_stretches_are_no_longer_than_the_record(crane):
+    _, problem, _ = crane
+    short, _ = motions(crane[0], NEUTRAL)
+    assert _stretches("auto", problem.physics, short) == [60, SAMPLES]
 
 
 @pytest.mark.parametrize(

@@ -116,6 +116,12 @@ def hole(u, y):
         (240, nothing, ["discovery.tolerance=0"], "discovery.tolerance: expected null or a number above 0, found 0"),
         (240, nothing, ["discovery.p_value=0"], "discovery.p_value: expected a number between 0 and 1, found 0"),
         (240, nothing, ["discovery.stretches=[1]"], "discovery.stretches: expected auto or a list of lengths"),
+        (
+            240,
+            nothing,
+            ["discovery.stretches=[60,300]"],
+            "data: train: expected sequences of at least 300 measured samples",
+        ),
         (240, nothing, ["discovery.n_init=120"], "discovery.n_init: expected fewer than the 120 samples"),
     ],
 )
