@@ -19,6 +19,7 @@ from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _AT_ONCE = 1_000_000  # samples of noise held in memory
+_RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
 _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is rounding
 
 
@@ -84,7 +85,7 @@ def what_is_added(
     for i in range(1, len(guesses) + 1):
         own = [j for j, p in enumerate(places[i]) if p >= 0 and p not in places[0]]
         added = np.concatenate([(outputs[i] - outputs[0]).reshape(n, 1), columns[i].reshape(n, -1)[:, own]], 1)
-        added = np.where(np.isfinite(added), added, 0.0) * weight[:, None]
+        added = np.where(np.abs(added) < _RUN_AWAY, added, 0.0) * weight[:, None]
         size = np.linalg.norm(added, axis=0)
         left = _beside(added, taken_up)
         longer = _beside(np.concatenate([added, np.zeros((k, added.shape[1]))]), held)

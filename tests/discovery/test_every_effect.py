@@ -1,4 +1,4 @@
-"""Every effect of the catalogues, hidden in a record from an independent simulator, is the best of one look at it."""
+"""Every effect of the catalogues, hidden in a record from an independent simulator, is the best in one look at it."""
 
 from functools import cache
 
@@ -60,23 +60,24 @@ def look(case, record, draws=199):
 
 
 @pytest.mark.parametrize(("system", "name"), EFFECTS)
-def test_a_hidden_effect_is_the_best_of_the_whole_catalogue(system, name):
+def test_no_other_effect_does_better_than_the_hidden_one(system, name):
     case = suite.build(Plan(system, 5, "single", (name,), (), QUIET[system]))
-    assert_first(look(case, case.train), case.accepted[0])
+    assert_best(look(case, case.train), case.accepted[0])
 
 
 @pytest.mark.xdist_group("every effect of pendulum")
 @pytest.mark.parametrize("name", ["sensor_gain", "input_gain", "input_lag"])
-def test_an_effect_of_the_instruments_is_the_best_of_the_whole_catalogue(name):
+def test_no_other_effect_does_better_than_that_of_an_instrument(name):
     case = suite.build(Plan("pendulum", 5, "none", (), (), QUIET["pendulum"]))
-    assert_first(look(case, recorded_otherwise(case, name)), (name,))
+    assert_best(look(case, recorded_otherwise(case, name)), (name,))
 
 
-def assert_first(stage, names):
-    best = next(candidate for candidate in stage.candidates if not stage.redundant(candidate.name))
-    assert best.name in names
-    assert stage.p_value(best) <= 0.01
-    assert best.cost < stage.base.cost
+def assert_best(stage, names):
+    """A parameter at its bound leaves a gain as much to do as the effect itself, and no more."""
+    own = min((c for c in stage.candidates if c.name in names), key=lambda c: c.cost)
+    assert own.cost <= 1.01 * stage.candidates[0].cost
+    assert stage.p_value(own) <= 0.01
+    assert own.cost < stage.base.cost
 
 
 def test_no_effect_of_tanks_and_pendulums_is_left_out():
