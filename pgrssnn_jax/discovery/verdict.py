@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgrssnn_jax.discovery.beyond import Beyond
 from pgrssnn_jax.discovery.estimate import Validated, block_sums
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
-from pgrssnn_jax.discovery.unknown import Line
 
 _RESAMPLED = 500
 _SIMILAR = 0.05  # part of an effect's own gain by which another may fall short and still be as good
@@ -41,14 +41,6 @@ class Verdict(StrEnum):
     EFFECT_FOUND = "effect_found"
     AMBIGUOUS = "ambiguous"
     UNKNOWN_EFFECT = "unknown_effect"
-
-
-class Beyond(NamedTuple):
-    """The best correction without a name, beside the named effects and beside nothing; a line in the spectrum."""
-
-    beside: Stage | None
-    alone: Stage | None
-    line: Line | None
 
 
 class Judged(NamedTuple):

@@ -6,7 +6,6 @@ record, physics ──> recalibrated ──> correction signal ──> search �
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,11 +13,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all
+from pgrssnn_jax.discovery.beyond import Beyond, look_beyond
+from pgrssnn_jax.discovery.cuts import cut, in_one
+from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.linear import left_out, look_linear
 from pgrssnn_jax.discovery.noise import noise_floor
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, signals
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.prove import (
     Merit,
     Proof,
@@ -28,24 +29,20 @@ from pgrssnn_jax.discovery.prove import (
     prove,
     recalibrated_from_spread,
 )
-from pgrssnn_jax.discovery.search import Found, Stage, look_at, search
+from pgrssnn_jax.discovery.search import Found, look_at, search
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup, Start
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
-from pgrssnn_jax.discovery.stretches import end_to_end, stretches
-from pgrssnn_jax.discovery.unknown import Formula, Line, flexible_problem, formula, in_flexible, spectral_line
-from pgrssnn_jax.discovery.verdict import Beyond, Judged, judge
+from pgrssnn_jax.discovery.stretches import end_to_end
+from pgrssnn_jax.discovery.unknown import Formula, flexible_problem, formula
+from pgrssnn_jax.discovery.verdict import Judged, judge
 from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.records import Record, take
+from pgrssnn_jax.records import Record
 
 _STEPS = 12  # of a fit to stretches: they are nearly linear
 _ROUGH, _FINE = 1e-3, 1e-6  # tolerance: candidates differ by far more, the final numbers are fitted to the end
-# sequences in which effects are looked for, first and beside others; their numbers are fitted to all
-_SEARCHED = (12, 24)
 _LANES = 4  # fits to stretches at a time, on as many devices
-_FLEXIBLE_LANES = 16  # fits with a correction at a time: the fastest number
 _SPARE = 14  # numbers that such fits have places for: compiling takes longer than the places that stay empty
 _LOCATED = 24  # sequences or stretches whose correction is estimated
-_AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no line is looked for
 
 
 class Proofs(NamedTuple):
@@ -106,9 +103,8 @@ def discover_in(
         lanes = min(_LANES, settings.devices)
         settings = Settings(_SPARE, lanes, min(chosen.steps, _STEPS), _ROUGH, lanes)
     with jax.enable_x64(True):
-        cuts = [_cut(problem, estimation, chosen, stage, start) for stage in range(max(1, len(chosen.stretches)))]
-        record, in_one = cuts[0], replace(chosen, stretches=[estimation.u.shape[1]] if in_stretches else [])
-        uncut = _cut(problem, estimation, in_one, 0, start)
+        cuts = [cut(problem, estimation, chosen, stage, start) for stage in range(max(1, len(chosen.stretches)))]
+        record, uncut = cuts[0], in_one(problem, estimation, chosen, start)
         whole = estimation._replace(u=uncut.u, y=uncut.y, mask=uncut.weight > 0)
         with _timed(seconds, "recalibrate"):
             _check_free_run(problem, record)
@@ -130,19 +126,7 @@ def discover_in(
             located, x, correction = _located(problem, record, found, len(record.u) // len(uncut.u))
         with _timed(seconds, "judge"):
             flexible = hold(flexible or flexible_problem(problem))
-            common |= {"without": [effect.name for effect in problem.effects]}
-            if in_stretches:
-                stage = min(len(found.final.estimate.active), len(cuts) - 1)
-                wide = _cut(flexible, estimation, chosen, stage, start)
-                runs = _cut(flexible, estimation, in_one, 0, start)
-                examine = partial(look_linear, flexible, [wide], whole=runs, **common)
-                beyond = Beyond(examine(in_flexible(problem, flexible, found.last.base, wide.start)), None, None)
-            else:
-                wide = signals(flexible, estimation, folds=chosen.folds, block=chosen.block)
-                common["settings"] = settings._replace(lanes=_FLEXIBLE_LANES, spare=2 * settings.spare)
-                common["rules"] = chosen.rules._replace(finalists=2)
-                beyond = _beyond(problem, flexible, found, wide, partial(look_at, flexible, wide, **common))
-                beyond = beyond._replace(line=_line(problem, record, found))
+            beyond, wide = look_beyond(problem, flexible, estimation, found, chosen, settings, rng, start)
             before = evaluate(problem, record, given).cost
             judged = judge(problem, found, beyond, before, chosen.rules, chosen.seed)
             told = None
@@ -181,24 +165,6 @@ def discover_in(
     )
 
 
-def _cut(
-    problem: Problem,
-    estimation: Record,
-    chosen: DiscoverySettings,
-    stage: int,
-    start: Start,
-    *,
-    searched: bool = True,
-) -> Signals:
-    """The record in stretches of a stage's length, or whole. searched: only sequences where effects are looked for."""
-    if not chosen.stretches:
-        return signals(problem, estimation, folds=chosen.folds, block=chosen.block)
-    if searched:
-        count = _SEARCHED[min(stage, len(_SEARCHED) - 1)]
-        estimation = take(estimation, np.arange(min(len(estimation.u), count)))
-    return stretches(problem, estimation, chosen.stretches[stage], folds=chosen.folds, at_rest=start is Start.AT_REST)
-
-
 def _polished(
     problem: Problem, estimation: Record, chosen: DiscoverySettings, found: Found, settings: Settings, start: Start
 ) -> Found:
@@ -209,7 +175,7 @@ def _polished(
     places = places[np.isfinite(theta[places])]
     spread = np.zeros((1, len(theta)))
     for stage in range(len(chosen.stretches)):
-        every = _cut(problem, estimation, chosen, stage, start, searched=False)
+        every = cut(problem, estimation, chosen, stage, start, searched=False)
         ((fitted, _),) = fit_all(
             problem, every, [Guess(active, theta, every.start)], settings._replace(tolerance=_FINE)
         )
@@ -261,24 +227,6 @@ def _check_free_run(problem: Problem, record: Signals) -> None:
             f"physics {problem.physics.name!r}: expected a free run that stays finite over the record, found states "
             f"beyond the floating-point range from sample {int(np.argmin(finite))} on"
         )
-
-
-def _line(problem: Problem, record: Signals, found: Found) -> Line | None:
-    """A line in the spectrum of errors that are not at the noise already."""
-    error = found.final.estimate.error
-    if found.final.estimate.cost <= _AT_NOISE * noise_floor(error, record.weight):
-        return None
-    return spectral_line(record, error, problem.physics.dt)
-
-
-def _beyond(
-    problem: Problem, flexible: Problem, found: Found, record: Signals, examine: Callable[[Validated], Stage]
-) -> Beyond:
-    """Is there more than the named effects, or something better than they? record: `flexible`'s."""
-    beside = examine(in_flexible(problem, flexible, found.final, record.start))
-    if not found.final.estimate.active:
-        return Beyond(beside, None, None)
-    return Beyond(beside, examine(in_flexible(problem, flexible, found.recalibrated, record.start)), None)
 
 
 @contextmanager

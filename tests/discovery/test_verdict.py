@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from pgrssnn_jax.discovery.beyond import Beyond
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
-from pgrssnn_jax.discovery.verdict import Beyond, Verdict, judge
+from pgrssnn_jax.discovery.verdict import Verdict, judge
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 

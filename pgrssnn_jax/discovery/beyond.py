@@ -1,0 +1,67 @@
+"""Is there more than the named effects, or something better than they? Corrections without a name, and lines.
+
+Whole records: flexible corrections beside what was found and in its place. Stretches: beside it, because one of a
+single joint does not take the place of an effect on all of them.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from pgrssnn_jax.discovery.cuts import cut, in_one
+from pgrssnn_jax.discovery.estimate import Settings, Validated
+from pgrssnn_jax.discovery.linear import look_linear
+from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.search import Found, Stage, look_at
+from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
+from pgrssnn_jax.discovery.unknown import Line, in_flexible, spectral_line
+from pgrssnn_jax.records import Record
+
+_LANES = 16  # fits with a correction at a time: the fastest number
+_FINALISTS = 2
+_AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no line is looked for
+
+
+class Beyond(NamedTuple):
+    """The best correction without a name, beside the named effects and beside nothing; a line in the spectrum."""
+
+    beside: Stage | None
+    alone: Stage | None
+    line: Line | None
+
+
+def look_beyond(
+    problem: Problem,
+    flexible: Problem,
+    estimation: Record,
+    found: Found,
+    chosen: DiscoverySettings,
+    settings: Settings,
+    rng: np.random.Generator,
+    start: Start,
+) -> tuple[Beyond, Signals]:
+    """With the signals that corrections were fitted to. flexible: `flexible_problem(problem)`."""
+    active = found.final.estimate.active
+    record = cut(flexible, estimation, chosen, min(len(active), max(len(chosen.stretches) - 1, 0)), start)
+    common = {"rng": rng, "without": [effect.name for effect in problem.effects]}
+    if chosen.stretches:
+        whole = in_one(flexible, estimation, chosen, start)
+        base = in_flexible(problem, flexible, found.last.base, record.start)
+        beside = look_linear(flexible, [record], base, settings, chosen.rules, whole=whole, **common)
+        return Beyond(beside, None, None), record
+    few = settings._replace(lanes=_LANES, spare=2 * settings.spare)
+    rules = chosen.rules._replace(finalists=_FINALISTS)
+    look = partial(look_at, flexible, record, settings=few, rules=rules, **common)
+    beside = look(in_flexible(problem, flexible, found.final, record.start))
+    alone = look(in_flexible(problem, flexible, found.recalibrated, record.start)) if active else None
+    return Beyond(beside, alone, _line(problem, record, found.final)), record
+
+
+def _line(problem: Problem, record: Signals, final: Validated) -> Line | None:
+    """A line in the spectrum of errors that are not at the noise already."""
+    error = final.estimate.error
+    if final.estimate.cost <= _AT_NOISE * noise_floor(error, record.weight):
+        return None
+    return spectral_line(record, error, problem.physics.dt)
