@@ -6,7 +6,8 @@
     bypass       dx1/dt ← dx1/dt - β k3 u,   dx2/dt ← dx2/dt + β k3 u
     outlet       k4 √x2 ← k4 x2^γ
 
-Flows that an effect adds act once per sample, at the mean of the levels before and after it.
+Flows that an effect adds act once per sample, at the mean of the levels before and after it, less what the levels that
+they change let out in the meantime (errors of second order).
 """
 
 from collections.abc import Callable
@@ -43,6 +44,18 @@ def tank_effects(physics: Physics) -> tuple[Effect, ...]:
 
 def _between(x: jax.Array, new: jax.Array) -> jax.Array:
     return jnp.maximum(0.5 * (x + new), 0.0)
+
+
+def _slope(k: Any, exponent: Any, level: jax.Array, linear: Any) -> jax.Array:
+    """d/dx of the flow k x^γ - c x, 1/s; zero for an empty tank."""
+    wet = level > 0.0
+    return jnp.where(wet, exponent * k * jnp.where(wet, level, 1.0) ** (exponent - 1.0) - linear, 0.0)
+
+
+def _kept(dt: float, slope: jax.Array) -> jax.Array:
+    """What is left at the end of a step of a flow that came in during it: the level that it has raised, on average by
+    half of it, lets out more."""
+    return 1.0 - 0.5 * dt * jnp.clip(slope, 0.0, 1.0 / dt)
 
 
 def _shares(name: str, signal: str, index: int, shares: tuple[float, ...]) -> Callable[[Reach], list[dict[str, Any]]]:
@@ -191,7 +204,11 @@ def leak_tank1(dt: float) -> Effect:
     name = "leak_tank1"
 
     def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        return new.at[0].add(-dt * p[name]["rate"] * _between(x, new)[0])
+        level, rate = _between(x, new)[0], p[name]["rate"]
+        drain = _slope(p["k1"], 0.5, level, p["k2"])
+        lost = dt * rate * level
+        less = 0.5 * dt * jnp.clip(drain, 0.0, 1.0 / dt) * lost  # that a lower level lets into the lower tank
+        return new.at[0].add(-lost * _kept(dt, drain + rate)).at[1].add(-less)
 
     return Effect(
         name,
@@ -213,10 +230,7 @@ def bypass(dt: float) -> Effect:
             share = p[name]["share"]
             new = physics.step(p, x, (1.0 - share) * u)
             gain = dt * share * p["k3"] * u[0]
-            wet = x[1] > 0.0
-            # what comes in during the step raises the level, on average by half, and so the outflow
-            drain = jnp.where(wet, 0.5 * p["k4"] / jnp.sqrt(jnp.where(wet, x[1], 1.0)) - p["k5"], 0.0)
-            return new.at[1].add(gain * (1.0 - 0.5 * dt * jnp.clip(drain, 0.0, 1.0 / dt)))
+            return new.at[1].add(gain * _kept(dt, _slope(p["k4"], 0.5, x[1], p["k5"])))
 
         return physics._replace(step=step)
 
@@ -238,9 +252,9 @@ def outlet_exponent(dt: float) -> Effect:
     def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         level = _between(x, new)[1]
         wet = level > 0.0
-        level = jnp.where(wet, level, 1.0)  # no power of zero in the gradient
-        other = p["k4"] * jnp.sqrt(level) * (level ** (p[name]["exponent"] - 0.5) - 1.0)
-        return new.at[1].add(-dt * jnp.where(wet, other, 0.0))
+        exponent, above = p[name]["exponent"], jnp.where(wet, level, 1.0)  # no power of zero in the gradient
+        other = p["k4"] * jnp.sqrt(above) * (above ** (exponent - 0.5) - 1.0)
+        return new.at[1].add(-dt * jnp.where(wet, other, 0.0) * _kept(dt, _slope(p["k4"], exponent, level, p["k5"])))
 
     return Effect(
         name,

@@ -21,9 +21,9 @@ CASES = {
     "pump_dead_zone": ({"voltage": 1.2}, {"dead": 1.2}, 1e-3),
     "pump_saturation": ({"voltage": 3.0}, {"most": 3.0}, 1e-3),
     "pump_nonlinearity": ({"curvature": -0.4, "exponent": 1.3}, {"curve": -0.4, "power": 1.3}, 1e-3),
-    "leak_tank1": ({"rate": 0.004}, {"leak": 0.004}, 0.03),
-    "bypass": ({"share": 0.3}, {"bypass": 0.3}, 0.03),
-    "outlet_exponent": ({"exponent": 0.65}, {"exponent": 0.65}, 0.03),
+    "leak_tank1": ({"rate": 0.004}, {"leak": 0.004}, 2e-3),
+    "bypass": ({"share": 0.3}, {"bypass": 0.3}, 2e-3),
+    "outlet_exponent": ({"exponent": 0.65}, {"exponent": 0.65}, 2e-3),
 }
 NAMES = sorted(CASES)
 
