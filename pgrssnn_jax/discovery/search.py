@@ -278,27 +278,22 @@ def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     as_good = [c for c in passing if c.cost**0.5 - best.cost**0.5 <= _AS_GOOD * (judge.gap + best.cost**0.5)]
     simpler = [c for c in as_good if c.name in judge.problem.effect(best.name).simpler]
     fewer = _count(judge.problem, best.guess)
-    leaner = [
-        c
-        for c in as_good
-        if _count(judge.problem, c.guess) < fewer
-        and c.validated is not None
-        and best.validated is not None
-        and _within_one_error(c.validated, best.validated)
-    ]
+    leaner = [c for c in as_good if _count(judge.problem, c.guess) < fewer and _within_one_error(c, best)]
     return next(iter((*simpler, *leaner)), best)
 
 
-def _within_one_error(one: Validated, better: Validated) -> bool:
+def _within_one_error(one: Candidate, best: Candidate) -> bool:
     """Is the difference in blocks left out below its standard error? Source of the rule: Hastie, Tibshirani, Friedman,
     The Elements of Statistical Learning, 2009, section 7.10."""
-    difference = block_sums(one.held_out**2 - better.held_out**2)
+    if one.validated is None or best.validated is None:
+        return False
+    difference = block_sums(one.validated.held_out**2 - best.validated.held_out**2)
     return bool(difference.sum() <= len(difference) ** 0.5 * difference.std(ddof=1))
 
 
 def _other_beginnings(judge: _Judge, first: Stage, current: Guess, others: Sequence[Candidate]) -> Guess:
     """The effect that does best alone may be none of two that only do well together: others are tried, and followed
-    where they make a better pair than the best one does."""
+    where they make a better pair than the best one does. What was found first stands unless errors fall visibly."""
     pair = judge.look(current).base.cost
     if first.candidates and first.candidates[0].name in current.active:
         pair = min(pair, *(c.cost for c in judge.look(first.candidates[0].guess).candidates[:1]))
@@ -306,7 +301,7 @@ def _other_beginnings(judge: _Judge, first: Stage, current: Guess, others: Seque
         best = _chosen(judge, judge.look(other.guess))
         if best is not None and best.cost < pair:
             found = _settled(judge, best.guess)
-            if not _within_one_error(judge.look(current).base, judge.look(found).base):
+            if judge.look(found).base.cost < (1.0 - judge.rules.least) * judge.look(current).base.cost:
                 current = found
     return current
 
