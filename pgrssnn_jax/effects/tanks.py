@@ -46,10 +46,10 @@ def _between(x: jax.Array, new: jax.Array) -> jax.Array:
     return jnp.maximum(0.5 * (x + new), 0.0)
 
 
-def _slope(k: Any, exponent: Any, level: jax.Array, linear: Any) -> jax.Array:
-    """d/dx of the flow k x^γ - c x, 1/s; zero for an empty tank."""
+def _slope(k: Any, level: jax.Array, linear: Any) -> jax.Array:
+    """d/dx of the flow k √x - c x, 1/s; zero for an empty tank."""
     wet = level > 0.0
-    return jnp.where(wet, exponent * k * jnp.where(wet, level, 1.0) ** (exponent - 1.0) - linear, 0.0)
+    return jnp.where(wet, 0.5 * k / jnp.sqrt(jnp.where(wet, level, 1.0)) - linear, 0.0)
 
 
 def _kept(dt: float, slope: jax.Array) -> jax.Array:
@@ -205,7 +205,7 @@ def leak_tank1(dt: float) -> Effect:
 
     def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         level, rate = _between(x, new)[0], p[name]["rate"]
-        drain = _slope(p["k1"], 0.5, level, p["k2"])
+        drain = _slope(p["k1"], level, p["k2"])
         lost = dt * rate * level
         less = 0.5 * dt * jnp.clip(drain, 0.0, 1.0 / dt) * lost  # that a lower level lets into the lower tank
         return new.at[0].add(-lost * _kept(dt, drain + rate)).at[1].add(-less)
@@ -230,7 +230,7 @@ def bypass(dt: float) -> Effect:
             share = p[name]["share"]
             new = physics.step(p, x, (1.0 - share) * u)
             gain = dt * share * p["k3"] * u[0]
-            return new.at[1].add(gain * _kept(dt, _slope(p["k4"], 0.5, x[1], p["k5"])))
+            return new.at[1].add(gain * _kept(dt, _slope(p["k4"], x[1], p["k5"])))
 
         return physics._replace(step=step)
 
@@ -253,8 +253,9 @@ def outlet_exponent(dt: float) -> Effect:
         level = _between(x, new)[1]
         wet = level > 0.0
         exponent, above = p[name]["exponent"], jnp.where(wet, level, 1.0)  # no power of zero in the gradient
-        other = p["k4"] * jnp.sqrt(above) * (above ** (exponent - 0.5) - 1.0)
-        return new.at[1].add(-dt * jnp.where(wet, other, 0.0) * _kept(dt, _slope(p["k4"], exponent, level, p["k5"])))
+        root, power = jnp.sqrt(above), above ** (exponent - 0.5)
+        slope = exponent * p["k4"] * power / root - p["k5"]
+        return new.at[1].add(-dt * jnp.where(wet, p["k4"] * root * (power - 1.0) * _kept(dt, slope), 0.0))
 
     return Effect(
         name,
