@@ -6,6 +6,7 @@ again: it is taken out, and whatever does best without it comes in instead.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
 _PART = 0.25  # of the share that an effect must close, where no draw of the null gains as much
-_ROUNDING = 1e-12  # of an energy; the least that other effects leave is 1e-6
+_ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
 _AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
 
 
@@ -138,16 +139,18 @@ def search(
     catalogue beside a guess (`look_at`, or `linear.look_linear` for stretches)."""
     looked: dict[tuple[str, ...], Stage] = {}
 
-    def look(base: Guess) -> Stage:
+    def look(base: Guess, *, again: bool = False) -> Stage:
         key = tuple(sorted(base.active))
-        if key not in looked:
+        if again or key not in looked:
             looked[key] = examine(base)
             best = looked[key].candidates
             notify(f"beside {', '.join(base.active) or 'the physics'}: " + _named(best[:3]))
         return looked[key]
 
     first = look(start)
-    judge = _Judge(problem, look, first.base.cost, first.noise * first.size, rules, first.free_run)
+    judge = _Judge(
+        problem, look, partial(look, again=True), first.base.cost, first.noise * first.size, rules, first.free_run
+    )
     current = _settled(judge, start)
     reached = look(current).base.cost
     closed = reached**0.5 - judge.floor**0.5 <= rules.open * judge.gap and reached <= rules.far * judge.floor
@@ -162,11 +165,13 @@ def search(
 
 
 class _Judge(NamedTuple):
-    """recalibrated: cross-validated cost without effects; floor: cost of the noise; gap: between their roots; begun:
-    error of the free run without effects, where fits see stretches."""
+    """again: a look at what was looked at before, with better numbers; recalibrated: cross-validated cost without
+    effects; floor: cost of the noise; gap: between their roots; begun: error of the free run without effects, where
+    fits see stretches."""
 
     problem: Problem
     look: Callable[[Guess], Stage]
+    again: Callable[[Guess], Stage]
     recalibrated: float
     floor: float
     rules: Rules
@@ -336,7 +341,15 @@ def _exchange(judge: _Judge, current: Guess) -> Guess:
             current = judge.look(rest).base.guess
         elif best.name != name:
             current = best.guess
+        elif _better_fit(best, judge.look(current).base, judge.rules):
+            current = judge.again(best.guess).base.guess
     return current
+
+
+def _better_fit(best: Candidate, fitted: Validated, rules: Rules) -> bool:
+    """Has the look without an effect found it again with visibly better numbers? The fit had ended beside them."""
+    same = best.validated is not None and best.validated.held_out.shape == fitted.held_out.shape
+    return same and best.cost < (1.0 - rules.least) * fitted.cost
 
 
 def _knowing(stage: Stage, name: str, beside: Stage) -> Stage:

@@ -170,7 +170,7 @@ def _alternatives(problem: Problem, found: Found, name: str, rng: np.random.Gene
     rivals = []
     for other in stage.candidates:
         related = other.name in effect.simpler or name in problem.effect(other.name).simpler
-        if other.name == name or related or other.validated is None:
+        if other.name == name or related or other.validated is None or stage.redundant(other.name):
             continue
         near = stage.base.cost - other.cost >= (1.0 - _SIMILAR) * gained
         if near and chance_better(other.validated, own.validated, rng) > _CHANCE:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
-from pgrssnn_jax.discovery.search import Candidate, Stage, _knowing
+from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, _better_fit, _knowing
 
 NUMBERS, SAMPLES = np.zeros(3), 64
 
@@ -44,3 +44,10 @@ def test_errors_of_other_samples_are_not_compared():
     """Beside one effect more, stretches are longer."""
     stage = look(model(9.0), leak=3.0)
     assert _knowing(stage, "leak", look(model(1.0, "leak", samples=2 * SAMPLES))) is stage
+
+
+@pytest.mark.parametrize(("energy", "better"), [(0.9, True), (0.99, False), (2.0, False)])
+def test_the_same_effects_with_visibly_better_numbers_are_taken_up(energy, better):
+    found = Candidate("leak", 0.9, model(energy, "leak"), Guess(("leak",), NUMBERS, np.zeros((1, 2))))
+    assert _better_fit(found, model(1.0, "leak"), Rules()) is better
+    assert not _better_fit(found, model(1.0, "leak", samples=2 * SAMPLES), Rules())

@@ -57,7 +57,7 @@ def chosen(problem: Problem, rich: np.ndarray, lean: np.ndarray) -> str:
     assert base is not None
     candidates = sorted((candidate(problem, RICH, rich), candidate(problem, LEAN, lean)), key=lambda c: c.cost)
     stage = Stage(base, tuple(candidates), np.zeros(400), {}, SAMPLES, 1.0)
-    judge = _Judge(problem, lambda guess: stage, base.cost, float((NOISE**2).sum()), Rules(), None)
+    judge = _Judge(problem, lambda guess: stage, lambda guess: stage, base.cost, float((NOISE**2).sum()), Rules(), None)
     found = _chosen(judge, stage)
     assert found is not None
     return found.name
