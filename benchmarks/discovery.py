@@ -88,7 +88,7 @@ def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) ->
 def _by_sindy(case: Case) -> dict[str, Any]:
     """Right: a name of what is there, or none where nothing is."""
     name = compare.sindy_name(case)
-    accepted = {name for names in case.accepted for name in names} or {None}
+    accepted = {one for names in case.accepted for one in names} or {None}
     return {"sindy": name, "sindy_right": name in accepted}
 
 

@@ -4,7 +4,6 @@ import json
 import random
 import signal
 import time
-from importlib import util
 from pathlib import Path
 
 import numpy as np
@@ -184,9 +183,6 @@ def test_a_sweep_killed_at_any_time_ends_as_if_nobody_had_touched_it(tmp_path, b
 
 @pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
 def test_launchers_put_every_run_where_a_serial_sweep_does(tmp_path, benchmark, launcher):
-    package = f"hydra_plugins.hydra_{launcher.split('_')[0]}_launcher"
-    if util.find_spec("hydra_plugins") is None or util.find_spec(package) is None:
-        pytest.skip(f"{package} is not installed")
     sweep = ["-m", "+experiment=cascaded_tank", f"data.path={benchmark}", "model=physics_only"]
     sweep += ["data.n_validation=40,160", "physics.clamp=true", f"hydra/launcher={launcher}"]
     more = ["hydra.launcher.n_jobs=2"] if launcher == "joblib" else ["hydra.launcher.timeout_min=2"]

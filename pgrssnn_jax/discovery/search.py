@@ -37,8 +37,8 @@ class Rules(NamedTuple):
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
     least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
-    found; draws: of the null; open, far: part of the gap left, or times the energy of the noise, after which other
-    beginnings are tried; beam: how many.
+    found; draws: of the null; open: part of the gap left after which other beginnings are tried; far: times the energy
+    of the noise above which errors are no noise, so that they are tried too; beam: how many.
     """
 
     p_value: float = 0.01

@@ -26,7 +26,7 @@ _AS_WELL = (0.05, -0.1)  # the same beside them, where one alone does nearly as 
 _INSTEAD = 0.015  # the same for one in their place: what is truly there is never beaten by it but by chance
 _REST = 0.5  # or: part of what the named effects leave above the noise, with a fall of the error energy of at least
 _VISIBLE_INSTEAD, _VISIBLE_BESIDE = 0.04, 0.15
-_FAR, _WEAK_PROOF = 2.0, 0.05  # times the noise's energy, and the p-value that then is enough
+_WEAK_PROOF = 0.05  # p-value that is enough for a large correction, or far above the noise
 _CERTAIN = 0.98  # probability that it is the better one
 _LARGE, _NEARLY_CERTAIN = 1 / 3, 0.9  # fall of the error energy, and the probability that then is enough
 _BEYOND_LUCK = 1.25  # times the largest gain by luck: what names leave near the noise is then no noise
@@ -76,7 +76,7 @@ def _unexplained(
         return _beside_in_stretches(beyond.beside, found.first.free_run, rules, rng)
     alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
-    far, named = found.final.cost > _FAR * found.floor, bool(found.final.estimate.active)
+    far, named = found.final.cost > rules.far * found.floor, bool(found.final.estimate.active)
     explained = named and found.recalibrated.cost**0.5 - found.final.cost**0.5 >= _EXPLAINED * gap
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
@@ -96,7 +96,7 @@ def _beside_in_stretches(
 ) -> tuple[Stage, Candidate] | None:
     """Errors of stretches are far above the noise, a correction visibly lowers them, and the free run too; begun: error
     of the free run without effects."""
-    if stage is None or stage.free_run is None or stage.base.cost <= _FAR * stage.noise * stage.size:
+    if stage is None or stage.free_run is None or stage.base.cost <= rules.far * stage.noise * stage.size:
         return None
     for one in stage.candidates:
         if one.validated is None or one.free_run is None:

@@ -207,7 +207,7 @@ def leak_tank1(dt: float) -> Effect:
         level, rate = _between(x, new)[0], p[name]["rate"]
         drain = _slope(p["k1"], level, p["k2"])
         lost = dt * rate * level
-        less = 0.5 * dt * jnp.clip(drain, 0.0, 1.0 / dt) * lost  # that a lower level lets into the lower tank
+        less = (1.0 - _kept(dt, drain)) * lost  # that a lower level lets into the lower tank
         return new.at[0].add(-lost * _kept(dt, drain + rate)).at[1].add(-less)
 
     return Effect(
