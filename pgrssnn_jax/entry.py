@@ -154,6 +154,9 @@ def call(main: Callable[[], None]) -> None:
 
     Hydra itself ends with 1 both for that and for an exception in the job; the job has begun when JAX is loaded.
     """
+    from pgrssnn_jax import after_discovery
+
+    after_discovery.register()  # `--cfg job --resolve` ends before a job begins
     try:
         main()
     except KeyboardInterrupt:

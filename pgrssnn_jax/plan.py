@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from pgrssnn_jax import members
+from pgrssnn_jax import after_discovery, members
 from pgrssnn_jax.budget import capped
 from pgrssnn_jax.crossed import Crossing, crossed
 from pgrssnn_jax.datasets.csv import load_csv
@@ -39,6 +39,7 @@ _KEYS = {
     "physics", "data", "model", "fit", "members",
     "seed", "n_seeds", "initial_state", "n_init", "report_n_init", "resume",
 }  # fmt: skip
+after_discovery.register()
 _LARGEST = 1e18  # whose square is still a float32
 _NOT_OF_THE_LOADER = ("name", "published_scaling", "shared_initial_state", "folds", "block")
 

@@ -50,6 +50,24 @@ def test_seeds_and_realisations_train_in_one_program():
     assert plan.data.train.u.shape == (6, 2, 64, 1)
 
 
+def test_after_a_discovery_training_begins_at_its_physics_and_seeds_share_the_record():
+    tanks, found = "+experiment=cascaded_tank", "physics.effects=discovery.json"
+
+    def chosen(*overrides: str) -> tuple:
+        config = composed(*overrides)
+        return (
+            config["data"]["folds"], config["initial_state"], config["fit"]["learning_rate"],
+            config["model"]["start_from_physics"],
+        )  # fmt: skip
+
+    assert chosen(tanks) == chosen(tanks, "physics.effects=null") == (0, "first_output", 1e-3, False)
+    assert chosen(tanks, found) == (10, "estimated", 3e-3, True)
+    own = ("data.folds=0", "initial_state=zero", "fit.learning_rate=1e-2")
+    assert chosen(tanks, found, *own) == (0, "zero", 1e-2, True)
+    assert chosen(tanks, found, "model=rssnn")[3]
+    assert not chosen(tanks, "model=rssnn")[3]
+
+
 @pytest.mark.parametrize("path", sorted((ROOT / "conf").rglob("*.yaml")), ids=lambda path: path.stem)
 def test_every_file_opens_with_its_command_line(path):
     first = next(line for line in path.read_text().splitlines() if line != "# @package _global_")

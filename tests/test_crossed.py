@@ -98,7 +98,7 @@ def test_a_fold_in_which_nothing_was_measured_is_named() -> None:
 
 
 def test_members_of_an_experiment_share_one_run_and_report_what_they_set_aside() -> None:
-    plan = planned("+experiment=cascaded_tank_crossed", "data.generated=true")
+    plan = planned("+experiment=cascaded_tank", "data.generated=true", "data.folds=5")
     assert plan.data.train.u.shape[:3] == (10, 1, 1024)
     assert np.array_equal(plan.measured.validation.mask, plan.data.validation.mask)
     assert (plan.data.train.info.same_run, plan.data.validation.info.same_run) == (False, True)

@@ -3,13 +3,15 @@
 import json
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from commands import QUICK, command, composed, planned, start, trained, write_benchmark
+from commands import QUICK, ROOT, command, composed, planned, start, trained, write_benchmark
 
 from pgrssnn_jax.finished import load_run
 from pgrssnn_jax.resume import resume_config
@@ -275,3 +277,11 @@ def test_the_wrong_pinocchio_and_missing_packages_are_named(monkeypatch, tmp_pat
         entry.check_packages()
     assert ended.value.code == 2
     assert shutil.which("make")  # the sentence points to it
+
+
+def test_without_any_package_the_command_ends_with_one_sentence():
+    standard_library_alone = [sys.executable, "-S", ROOT / "train.py"]
+    ended = subprocess.run(standard_library_alone, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("error: packages: expected jax, flax, optax")
+    assert ended.stderr.count("\n") == 1
