@@ -14,6 +14,7 @@ from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
 from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.physics.base import Parameter
 
 _MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
 
@@ -97,6 +98,7 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
                 "std": np.asarray(std[key]).tolist(),
                 "unit": meaning.unit,
                 "symbol": meaning.symbol,
+                "at_bound": _at_bound(meaning, numbers[key]).tolist(),
             }
             for key, meaning in effect.parameters.items()
         },
@@ -112,6 +114,12 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
     if effect.channels == "joint":
         said["joints"] = _joints(effect, numbers, std)
     return said
+
+
+def _at_bound(meaning: Parameter, value: Any) -> np.ndarray:
+    """Is a number where its fit was not let go further? Where it changes nothing it may well be."""
+    ends = [end for end in meaning.bounds if np.isfinite(end) and end != meaning.neutral]
+    return np.any([np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends], axis=0) | np.zeros_like(value, bool)
 
 
 def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:

@@ -37,8 +37,9 @@ class Rules(NamedTuple):
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
     least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
-    found; draws: of the null; open: part of the gap left after which other beginnings are tried; far: times the energy
-    of the noise above which errors are no noise, so that they are tried too; beam: how many.
+    found; draws: of the null; open: part of the gap left after which other beginnings are tried; above: times the energy
+    of the noise after which they are tried too; beam: how many; far: times the energy of the noise after which errors
+    are surely no noise.
     """
 
     p_value: float = 0.01
@@ -50,8 +51,9 @@ class Rules(NamedTuple):
     most: int = 4
     draws: int = 2000
     open: float = 0.05
-    far: float = 2.0
+    above: float = 1.25
     beam: int = 3
+    far: float = 2.0
 
 
 class Candidate(NamedTuple):
@@ -153,7 +155,7 @@ def search(
     )
     current = _settled(judge, start)
     reached = look(current).base.cost
-    closed = reached**0.5 - judge.floor**0.5 <= rules.open * judge.gap and reached <= rules.far * judge.floor
+    closed = reached**0.5 - judge.floor**0.5 <= rules.open * judge.gap and reached <= rules.above * judge.floor
     others = [c for c in first.candidates if c.name not in current.active][: rules.beam]
     best = first.candidates[0].cost if first.candidates else 0.0
     # what did as well as the first at the beginning may be what the second one needs beside it

@@ -71,12 +71,17 @@ def judge(problem: Problem, found: Found, beyond: Beyond, before: float, rules: 
 def _unexplained(
     found: Found, beyond: Beyond, gap: float, rules: Rules, rng: np.random.Generator
 ) -> tuple[Stage, Candidate] | None:
-    """A correction without a name that does clearly better than the named effects, in their place or beside them."""
+    """A correction without a name that does clearly better than the named effects, in their place or beside them.
+
+    Where the physics alone already reaches the noise, its share of the gap says nothing: no draw of the null may gain as
+    much.
+    """
     if found.first.free_run is not None:
         return _beside_in_stretches(beyond.beside, found.first.free_run, rules, rng)
     alone = beyond.alone.candidates[0].cost if beyond.alone else np.inf
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
     far, named = found.final.cost > rules.far * found.floor, bool(found.final.estimate.active)
+    seen = found.recalibrated.cost > (1.0 + rules.visible) * found.floor
     explained = named and found.recalibrated.cost**0.5 - found.final.cost**0.5 >= _EXPLAINED * gap
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
@@ -86,7 +91,7 @@ def _unexplained(
             gains = _gains(found, stage, one, gap, rng)
             enough = _says_where(gains, rules) if far and not explained else _outweighs(gains, least, visible, rules)
             bends = named and not far and stage is beyond.beside
-            if enough or (bends and _beyond_luck(gains, rules)):
+            if (enough and (seen or gains.lucky >= 1.0)) or (bends and _beyond_luck(gains, rules)):
                 return stage, one
     return None
 

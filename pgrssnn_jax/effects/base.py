@@ -38,7 +38,7 @@ class Effect(NamedTuple):
     the reach of the data; wrap: the physics with the effect, whose functions find its numbers in `params[name]`;
     active: share of the samples in which it acts, from `(numbers, x, u)` with x `[time, x]`, u `[time, u]`, None where
     it always does; simpler: names of effects that are preferred to this one where they do as well; channels: what
-    one number of an array belongs to (`output`, `input`, `joint`).
+    one number of an array belongs to (`output`, `input`, `joint`; of a matrix `output, input`).
     """
 
     name: str

@@ -38,7 +38,7 @@ def feedthrough(physics: Physics) -> Effect:
         lambda reach: [{"D": np.full(shape, 0.05)}, {"D": np.full(shape, -0.05)}],
         wrap,
         {"D": shape},
-        channels="output",
+        channels="output, input",
     )
 
 

@@ -135,8 +135,7 @@ def _found(discovery: Discovery) -> str:
 def _finding(effect: Mapping[str, Any]) -> str:
     header = ("number", "value ± std", "unit")
     rows = [
-        markup.row(header, [escape(q.name), value(q.value, q.std), escape(q.unit or MISSING)])
-        for q in summary.quantities(effect)
+        markup.row(header, [escape(q.name), _value(q), escape(q.unit or MISSING)]) for q in summary.quantities(effect)
     ]
     runner = effect.get("runner_up") or {}
     exact = {
@@ -153,6 +152,10 @@ def _finding(effect: Mapping[str, Any]) -> str:
         f'<p class="equation">{escape(str(effect.get("equation") or ""))}</p>'
         f"{_table(header, rows)}<dl>{items}</dl>{command}</article>\n"
     )
+
+
+def _value(q: summary.Quantity) -> str:
+    return f"{value(q.value, math.nan)}, at its bound" if q.at_bound else value(q.value, q.std)
 
 
 def _table(header: Sequence[str], rows: Sequence[str], look: str = "named") -> str:

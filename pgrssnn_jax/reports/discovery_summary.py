@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
 from rich.panel import Panel
@@ -66,12 +67,21 @@ class Shift(NamedTuple):
 
 
 class Quantity(NamedTuple):
-    """One number of an effect, of one channel or joint where it has several."""
+    """One number of an effect, of one channel or joint where it has several; at_bound: a fit was not let go further, so
+    that its deviation says nothing."""
 
     name: str
     value: float
     std: float
     unit: str
+    at_bound: bool = False
+
+    @property
+    def words(self) -> str:
+        """Value with deviation and unit."""
+        if self.at_bound:
+            return f"{rounded(self.value, self.unit)}, at its bound"
+        return plus_minus(self.value, self.std, self.unit)
 
 
 def real(value: Any) -> float:
@@ -140,24 +150,34 @@ def shifts(discovery: Discovery) -> list[Shift]:
 
 
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
-    """The numbers of an effect; lists are spelled out, by joint or channel."""
+    """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs."""
     rows = []
     for name, parameter in (effect.get("parameters") or {}).items():
-        value, std = parameter.get("value"), parameter.get("std")
-        values = list(value) if isinstance(value, Sequence) else [value]
-        stds = list(std) if isinstance(std, Sequence) else [std] * len(values)
-        places = [""] * len(values) if not isinstance(value, Sequence) else _places(effect, len(values))
+        values = _array(parameter.get("value"))
+        stds, at_bound = (
+            np.broadcast_to(_array(parameter.get(key)), values.shape).ravel() for key in ("std", "at_bound")
+        )
         symbol, unit = parameter.get("symbol") or name, parameter.get("unit") or ""
-        names = [f"{symbol}, {place}" if place else str(symbol) for place in places]
-        rows += [Quantity(n, real(v), real(s), unit) for n, v, s in zip(names, values, stds, strict=True)]
+        names = [f"{symbol}, {place}" if place else str(symbol) for place in _places(effect, values.shape)]
+        rows += [
+            Quantity(n, float(v), float(s), unit, b == 1.0)
+            for n, v, s, b in zip(names, values.flat, stds, at_bound, strict=True)
+        ]
     return rows
 
 
-def _places(effect: Mapping[str, Any], count: int) -> list[str]:
-    joints, channels = effect.get("joints") or (), effect.get("channels") or "channel"
-    if len(joints) == count:
+def _array(listed: Any) -> np.ndarray:
+    """Numbers as nested lists, what is missing as NaN."""
+    return np.asarray(listed, object).astype(np.float64)
+
+
+def _places(effect: Mapping[str, Any], shape: tuple[int, ...]) -> list[str]:
+    joints, channels = effect.get("joints") or (), str(effect.get("channels") or "channel")
+    if (len(joints),) == shape:
         return [f"joint {joint}" for joint in joints]
-    return [f"{channels} {k + 1}" if isinstance(channels, str) else str(channels[k]) for k in range(count)]
+    axes = channels.split(", ")
+    of_axes = [*axes, *["channel"] * (len(shape) - len(axes))]
+    return [", ".join(f"{of_axes[d]} {k + 1}" for d, k in enumerate(index)) for index in np.ndindex(shape)]
 
 
 def intervals(listed: Sequence[Sequence[Number]] | None) -> str:
@@ -215,7 +235,7 @@ def _card(effect: Mapping[str, Any]) -> Panel:
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
     for q in quantities(effect):
-        grid.add_row(Text(q.name), Text(plus_minus(q.value, q.std, q.unit), "bold"))
+        grid.add_row(Text(q.name), Text(q.words, "bold"))
     for name, text in effect_facts(effect).items():
         grid.add_row(Text(name), Text(text))
     if effect.get("command"):

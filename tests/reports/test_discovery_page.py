@@ -4,11 +4,16 @@ import io
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from discovery_samples import ARM, SAD, TANK, bare_discovery
 from rich.console import Console
 from test_report_page import Reader
 
+from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.physics.arm.arm import arm
+from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.reports import discovery_summary as summary
 from pgrssnn_jax.reports.discovery_page import discovery_page
 from pgrssnn_jax.reports.discovery_write import write_discovery_report
@@ -137,6 +142,39 @@ def test_numbers_by_joint_name_their_joint():
     ]
     gain = {"parameters": {"g": {"value": [1.0, 2.0], "std": None, "symbol": "g"}}, "channels": "output"}
     assert [row.name for row in summary.quantities(gain)] == ["g, output 1", "g, output 2"]
+
+
+ONE = [[1.0, 0.0], [0.0, 1.0]]
+EFFECTS = [
+    pytest.param(effect, id=f"{physics.name} {effect.name}")
+    for physics in (cascaded_tanks(), linear(A=ONE, B=ONE, C=ONE, inputs=["f", "g"], outputs=["p", "q"]), arm())
+    for effect in catalogue(physics)
+]
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_every_effect_of_every_catalogue_can_be_told(effect):
+    """One row for every number, whatever its shape, each with a name of its own."""
+    numbers = effect.neutral()
+    parameters = {
+        key: {"value": n.tolist(), "std": (0.5 + np.zeros_like(n)).tolist(), "unit": effect.parameters[key].unit}
+        for key, n in numbers.items()
+    }
+    told = {"name": effect.name, "title": effect.title, "channels": effect.channels, "parameters": parameters}
+    rows = summary.quantities(told)
+    assert len({row.name for row in rows}) == len(rows) == sum(n.size for n in numbers.values())
+    np.testing.assert_array_equal([row.value for row in rows], np.concatenate([n.ravel() for n in numbers.values()]))
+    shown = printed({**TANK[0], "effects": [told]}, width=200)
+    assert all(row.name in shown for row in rows)
+    assert effect.title in Reader(page({**TANK[0], "effects": [told]})).text
+
+
+def test_a_matrix_names_both_ends_of_its_numbers_and_what_is_at_its_bound():
+    parameter = {"value": [[1.0, 2.0], [3.0, 4.0]], "std": [[0.1, 0.2], [0.3, 0.0]], "symbol": "D"}
+    told = {"parameters": {"D": {**parameter, "at_bound": [[False, False], [False, True]]}}, "channels": "output, input"}
+    rows = summary.quantities(told)
+    assert [row.name for row in rows] == [f"D, output {i}, input {k}" for i in (1, 2) for k in (1, 2)]
+    assert [row.words for row in rows] == ["1.000 ± 0.100", "2.000 ± 0.200", "3.000 ± 0.300", "4.000, at its bound"]
 
 
 def test_what_could_not_be_told_is_told():
