@@ -1,6 +1,7 @@
 """A pendulum that a user brings along, with hidden effects: 800 + 800 samples, every 0.05 s.
 
-    angle'' = -g/l sin(angle) - d angle' + clip(dead(u(t - delay) + u_offset)) / l²,   unit mass
+    angle'' = -g/l sin(angle) - d angle' + clip(dead(z + u_offset)) / l²,   unit mass
+    lag z'  = u(t - delay) - z
     y       = clip(angle + y_offset + e)
 
 dead(v) = sign(v) max(|v| - u_dead, 0). Torque in Nm, angle in rad. Limits of torque and reading are the same on both
@@ -27,6 +28,7 @@ CATALOGUE = Catalogue(
         "input_dead_zone": "input",
         "input_offset": "input",
         "input_delay": "delay",
+        "input_lag": "delay",
         "sensor_offset": "sensor",
         "sensor_saturation": "sensor",
     },
@@ -109,6 +111,7 @@ def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
         "input_dead_zone": lambda: {"u_dead": Quantile(uniform(rng, 0.06, 0.18), "torque")},
         "input_offset": lambda: {"u_offset": either_sign(rng, 0.4, 1.2)},
         "input_delay": lambda: {"delay": round(uniform(rng, 0.6, 3.5) * SUB_STEPS) / SUB_STEPS},
+        "input_lag": lambda: {"lag": uniform(rng, 2.0, 8.0)},
         "sensor_offset": lambda: {"y_offset": either_sign(rng, 0.05, 0.3)},
         "sensor_saturation": lambda: _range(rng),
     }[name]()

@@ -4,16 +4,16 @@ from math import inf, sin
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+
+from .signals import Wave, command
 
 GRAVITY, SAMPLE_TIME, SUB_STEPS = 9.81, 0.05, 10  # m/s², s
 HISTORY = 8  # samples before a record starts: what a delayed motor still has to run
 
-Wave = Float[np.ndarray, " time"]
-
 
 class Plant(NamedTuple):
-    """length in m, damping in 1/s; the rest is neutral. delay in samples, a whole number of sub-steps."""
+    """length in m, damping in 1/s; the rest is neutral. delay in samples, a whole number of sub-steps; lag, the
+    time constant of the motor, in samples."""
 
     length: float
     damping: float
@@ -21,6 +21,7 @@ class Plant(NamedTuple):
     u_dead: float = 0.0
     u_top: float = inf
     delay: float = 0.0
+    lag: float = 0.0
     y_offset: float = 0.0
     y_top: float = inf
     y_bottom: float = -inf
@@ -29,8 +30,7 @@ class Plant(NamedTuple):
 def swing(plant: Plant, u: Wave, start: tuple[float, float]) -> Wave:
     """Angles after each sample of the record, which starts HISTORY samples after u does."""
     n, h = len(u) - HISTORY, SAMPLE_TIME / SUB_STEPS
-    late = np.arange(HISTORY * SUB_STEPS, len(u) * SUB_STEPS) - round(plant.delay * SUB_STEPS)
-    pushes = (torque(plant, u)[late // SUB_STEPS] / plant.length**2).tolist()
+    pushes = (torque(plant, command(u, SUB_STEPS, plant.delay, plant.lag, HISTORY)) / plant.length**2).tolist()
     stiffness, damping = GRAVITY / plant.length, plant.damping
     angle, rate = start
     angles = np.empty(n)

@@ -1,6 +1,6 @@
 """Two cascaded tanks with whatever may go wrong in them; Runge-Kutta 4, `sub_steps` steps per sample.
 
-    f     = k3 curve(clip(u(t - delay) + u_offset - u_dead, 0, u_top))          pump flow
+    f     = k3 curve(clip(z + u_offset - u_dead, 0, u_top)),   lag dz/dt = u(t - delay) - z          pump flow
     dx1/dt = (1 - bypass) f - d - leak x1,   d = k1 √x1 - k2 x1                 x1 ≤ rim_1, the rest spills
     dx2/dt = bypass f + d - k4 √r (x2 / r)^g + k5 x2 + share · spill            x2 ≤ rim_2, the rest is lost
     y      = min(x2 + y_offset + e, y_top)
@@ -13,17 +13,17 @@ from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+
+from .signals import Wave, command
 
 SAMPLE_TIME, SUB_STEPS = 4.0, 20  # s
 HISTORY = 8  # samples before a record starts: what a delayed pump still has to run
 REFERENCE_LEVEL, REFERENCE_VOLTAGE = 4.0, 3.0  # V
 
-Wave = Float[np.ndarray, " time"]
-
 
 class Rig(NamedTuple):
-    """Neutral but for the published k1 .. k5. delay in samples, a whole number of sub-steps."""
+    """Neutral but for the published k1 .. k5. delay in samples, a whole number of sub-steps;
+    lag, the time constant of the pump, in samples."""
 
     k1: float = 0.0464
     k2: float = 0.0003
@@ -36,6 +36,7 @@ class Rig(NamedTuple):
     curvature: float = 0.0
     power: float = 1.0
     delay: float = 0.0
+    lag: float = 0.0
     bypass: float = 0.0
     leak: float = 0.0
     rim_1: float = inf
@@ -59,8 +60,7 @@ def levels(rig: Rig, u: Wave, start: tuple[float, float], sub_steps: int = SUB_S
     Plain floats: for two states they are several times as fast as arrays.
     """
     n, h = len(u) - HISTORY, SAMPLE_TIME / sub_steps
-    late = np.arange(HISTORY * sub_steps, len(u) * sub_steps) - round(rig.delay * sub_steps)
-    flows = flow(rig, u)[late // sub_steps].tolist()
+    flows = flow(rig, command(u, sub_steps, rig.delay, rig.lag, HISTORY)).tolist()
     k1, k2, k5, g, bypass, leak = rig.k1, rig.k2, rig.k5, rig.exponent, rig.bypass, rig.leak
     rim_1, rim_2, share = rig.rim_1, rig.rim_2, rig.share
     k4 = rig.k4 * REFERENCE_LEVEL ** (0.5 - g)

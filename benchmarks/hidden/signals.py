@@ -3,6 +3,7 @@
 multisine      w(t) = Σ_k a_k cos(2π k t / n + φ_k),    φ_k uniform
 random steps   w held at uniform levels over random spans
 low-pass       s_t = s_{t-1} + (w_t - s_{t-1}) / lag
+command        z of lag dz/dt = w(t - delay) - z
 """
 
 import numpy as np
@@ -27,6 +28,19 @@ def random_steps(rng: np.random.Generator, n: int, shortest: int, longest: int) 
 
 def low_pass(wave: Wave, lag: float) -> Wave:
     return lfilter([1 / lag], [1, 1 / lag - 1], wave)
+
+
+def command(wave: Wave, sub_steps: int, delay: float, lag: float, first: int) -> Wave:
+    """What an actuator makes of held samples, by sub-step from sample `first` on: late by `delay`, then with a
+    first-order lag, in the middle of every sub-step. delay in samples, a whole number of sub-steps; lag in samples, at
+    rest at the beginning of the wave."""
+    late = np.arange(len(wave) * sub_steps) - round(delay * sub_steps)
+    held = wave[np.maximum(late, 0) // sub_steps]
+    if lag > 0.0:
+        kept = np.exp(-1.0 / (lag * sub_steps))
+        ends, _ = lfilter([1.0 - kept], [1.0, -kept], held, zi=[kept * held[0]])
+        held = held + kept**0.5 * (np.concatenate([held[:1], ends[:-1]]) - held)
+    return held[first * sub_steps :]
 
 
 def standard(wave: Wave) -> Wave:

@@ -26,6 +26,7 @@ CATALOGUE = Catalogue(
         "pump_nonlinearity": "pump",
         "input_offset": "pump",
         "input_delay": "delay",
+        "input_lag": "delay",
         "sensor_offset": "sensor",
         "sensor_saturation": "sensor",
     },
@@ -80,6 +81,7 @@ DRAWS: dict[str, Draw] = {
     "pump_nonlinearity": _nonlinearity,
     "input_offset": lambda rng, _: {"u_offset": uniform(rng, 0.3, 1.0)},
     "input_delay": _delay,
+    "input_lag": lambda rng, _: {"lag": uniform(rng, 4.0, 12.0)},
     "sensor_offset": lambda rng, _: {"y_offset": either_sign(rng, 0.4, 1.5)},
     "sensor_saturation": lambda rng, _: {"y_top": Quantile(uniform(rng, 0.75, 0.93), "reading")},
 }

@@ -238,11 +238,13 @@ def input_lag(physics: Physics) -> Effect:
     dt = physics.dt
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """What acts is the mean over the sample: its value at the end would be half a sample ahead."""
         tau = p["time_constant"]
         slow = tau > 0.0
-        kept = jnp.where(slow, jnp.exp(-dt / jnp.where(slow, tau, 1.0)), 0.0)  # no 0/0 in the gradient at τ = 0
-        reached = u + kept * (past - u)
-        return reached, reached
+        samples = jnp.where(slow, tau, 1.0) / dt  # no 0/0 in the gradient at τ = 0
+        kept = jnp.where(slow, jnp.exp(-1.0 / samples), 0.0)
+        mean = jnp.where(slow, samples * (1.0 - kept), 0.0)
+        return u + mean * (past - u), u + kept * (past - u)
 
     return Effect(
         "input_lag",

@@ -171,7 +171,10 @@ def test_every_effect_of_every_catalogue_can_be_told(effect):
 
 def test_a_matrix_names_both_ends_of_its_numbers_and_what_is_at_its_bound():
     parameter = {"value": [[1.0, 2.0], [3.0, 4.0]], "std": [[0.1, 0.2], [0.3, 0.0]], "symbol": "D"}
-    told = {"parameters": {"D": {**parameter, "at_bound": [[False, False], [False, True]]}}, "channels": "output, input"}
+    told = {
+        "parameters": {"D": {**parameter, "at_bound": [[False, False], [False, True]]}},
+        "channels": "output, input",
+    }
     rows = summary.quantities(told)
     assert [row.name for row in rows] == [f"D, output {i}, input {k}" for i in (1, 2) for k in (1, 2)]
     assert [row.words for row in rows] == ["1.000 ± 0.100", "2.000 ± 0.200", "3.000 ± 0.300", "4.000, at its bound"]
