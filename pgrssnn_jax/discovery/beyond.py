@@ -1,4 +1,5 @@
-"""Is there more than the named effects, or something better than they? Corrections without a name, and lines.
+"""Is there more than the named effects, or something better than they? Corrections without a name, lines, and whether
+the errors follow the signals at all.
 
 Whole records: flexible corrections beside what was found and in its place. Stretches: beside it, because one of a
 single joint does not take the place of an effect on all of them.
@@ -11,10 +12,12 @@ import numpy as np
 
 from pgrssnn_jax.discovery.cuts import cut, in_one
 from pgrssnn_jax.discovery.estimate import Settings, Validated
+from pgrssnn_jax.discovery.follows import Follows, follows
+from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.linear import look_linear
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.search import Found, Stage, look_at
+from pgrssnn_jax.discovery.search import Found, Rules, Stage, look_at
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
 from pgrssnn_jax.discovery.unknown import Line, in_flexible, spectral_line
 from pgrssnn_jax.records import Record
@@ -25,11 +28,13 @@ _AT_NOISE = 1.2  # energy of the errors over that of the noise, below which no l
 
 
 class Beyond(NamedTuple):
-    """The best correction without a name, beside the named effects and beside nothing; a line in the spectrum."""
+    """The best correction without a name, beside the named effects and beside nothing; a line in the spectrum; how far
+    errors far above the noise follow the signals."""
 
     beside: Stage | None
     alone: Stage | None
     line: Line | None
+    follows: Follows | None = None
 
 
 def look_beyond(
@@ -56,7 +61,8 @@ def look_beyond(
     look = partial(look_at, flexible, record, settings=few, rules=rules, **common)
     beside = look(in_flexible(problem, flexible, found.final, record.start))
     alone = look(in_flexible(problem, flexible, found.recalibrated, record.start)) if active else None
-    return Beyond(beside, alone, _line(problem, record, found.final)), record
+    driven = _follows(problem, record, found, chosen.rules, rng)
+    return Beyond(beside, alone, _line(problem, record, found.final), driven), record
 
 
 def _line(problem: Problem, record: Signals, final: Validated) -> Line | None:
@@ -65,3 +71,11 @@ def _line(problem: Problem, record: Signals, final: Validated) -> Line | None:
     if final.estimate.cost <= _AT_NOISE * noise_floor(error, record.weight):
         return None
     return spectral_line(record, error, problem.physics.dt)
+
+
+def _follows(problem: Problem, record: Signals, found: Found, rules: Rules, rng: np.random.Generator) -> Follows | None:
+    final = found.final.estimate
+    if found.final.cost <= rules.far * found.floor:
+        return None
+    _, x = simulate(problem, record.u, final.theta[None], final.x0[None])
+    return follows(record, x[0][..., : len(problem.physics.states)], final.error, rng)

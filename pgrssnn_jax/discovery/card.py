@@ -41,6 +41,7 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
         "untestable": untestable(found),
         "formula": _formula(found),
         "spectrum": _spectrum(found, setup),
+        "follows": found.beyond.follows._asdict() if found.beyond.follows else None,
         "disagreement": disagreement(found),
         "recalibration": _recalibration(found),
         "parameters": _parameters(found),
@@ -325,13 +326,25 @@ def _sentence(found: Discovery, effects: list[dict[str, Any]]) -> str:
     if verdict is Verdict.MISCALIBRATED:
         return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
     if verdict is Verdict.UNKNOWN_EFFECT:
-        what = found.formula.text if found.formula else "a periodic disturbance"
-        return f"Something is missing that no effect of the catalogue explains: {what}; {errors}."
+        return f"Something is missing that no effect of the catalogue explains: {_what(found)}; {errors}."
     closed = f"{errors}, {after:.3g}{unit} with it"
     if verdict is Verdict.AMBIGUOUS:
         others = ", ".join(sorted({a["name"] for a in _alternatives(found)}))
         return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed}."
     return f"Missing: {titles}; {closed} ({100 * gap['closed_fraction']:.0f} % of the gap above the noise)."
+
+
+def _what(found: Discovery) -> str:
+    """What is known of something without a name."""
+    if found.formula is not None:
+        return found.formula.text
+    if found.beyond.line is not None:
+        return "a periodic disturbance"
+    share = found.beyond.follows.share if found.beyond.follows else 0.0
+    return (
+        f"the errors follow the signals ({100 * share:.0f} % of their energy), but no curve of one signal in one "
+        "equation says how: a memory or a hard stop may"
+    )
 
 
 def discovery_arrays(found: Discovery, setup: Setup) -> dict[str, Any]:

@@ -37,9 +37,8 @@ class Rules(NamedTuple):
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
     least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
-    found; draws: of the null; open: part of the gap left after which other beginnings are tried; above: times the energy
-    of the noise after which they are tried too; beam: how many; far: times the energy of the noise after which errors
-    are surely no noise.
+    found; draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
+    `above` times the energy of the noise is left; far: times that energy where errors are surely no noise.
     """
 
     p_value: float = 0.01

@@ -32,6 +32,7 @@ _LARGE, _NEARLY_CERTAIN = 1 / 3, 0.9  # fall of the error energy, and the probab
 _BEYOND_LUCK = 1.25  # times the largest gain by luck: what names leave near the noise is then no noise
 _EXPLAINED = 0.5  # part of the gap that names must close to be more than a help where errors stay far above the noise
 _NAMELESS = 0.05  # part of the gap that counts where names close little of it though errors are far above the noise
+_FOLLOWS = 0.1  # share of the error energy that the signals must explain for the equations to be wrong
 _LIKELY = 0.75  # probability that is enough there, if its gain is not luck
 
 
@@ -58,7 +59,7 @@ def judge(problem: Problem, found: Found, beyond: Beyond, before: float, rules: 
     gap = max(found.recalibrated.cost**0.5 - found.floor**0.5, 0.0)
     unexplained = _unexplained(found, beyond, gap, rules, rng)
     alternatives = {name: _alternatives(problem, found, name, rng) for name in found.final.estimate.active}
-    if unexplained is not None or beyond.line is not None:
+    if unexplained is not None or beyond.line is not None or _driven(found, beyond, gap, rules):
         verdict = Verdict.UNKNOWN_EFFECT
     elif found.final.estimate.active:
         verdict = Verdict.AMBIGUOUS if any(alternatives.values()) else Verdict.EFFECT_FOUND
@@ -82,7 +83,7 @@ def _unexplained(
     beside = _AS_WELL[0] if found.final.cost**0.5 - alone**0.5 >= _AS_WELL[1] * gap else _BESIDE
     far, named = found.final.cost > rules.far * found.floor, bool(found.final.estimate.active)
     seen = found.recalibrated.cost > (1.0 + rules.visible) * found.floor
-    explained = named and found.recalibrated.cost**0.5 - found.final.cost**0.5 >= _EXPLAINED * gap
+    explained = _explained(found, gap)
     wanted = ((beyond.alone, _INSTEAD, _VISIBLE_INSTEAD), (beyond.beside, beside, _VISIBLE_BESIDE))
     for stage, least, visible in wanted:
         if stage is None:
@@ -94,6 +95,20 @@ def _unexplained(
             if (enough and (seen or gains.lucky >= 1.0)) or (bends and _beyond_luck(gains, rules)):
                 return stage, one
     return None
+
+
+def _explained(found: Found, gap: float) -> bool:
+    """Do names close a good part of the gap?"""
+    closed = found.recalibrated.cost**0.5 - found.final.cost**0.5
+    return bool(found.final.estimate.active) and closed >= _EXPLAINED * gap
+
+
+def _driven(found: Found, beyond: Beyond, gap: float, rules: Rules) -> bool:
+    """Errors far above the noise that names hardly lower, and that follow the signals by whatever law: something is
+    missing, though no correction of one equation by one signal describes it."""
+    if beyond.follows is None or _explained(found, gap):
+        return False
+    return beyond.follows.share >= _FOLLOWS and beyond.follows.p_value <= rules.p_value
 
 
 def _beside_in_stretches(

@@ -109,6 +109,8 @@ def _cards(discovery: Discovery) -> str:
 def _found(discovery: Discovery) -> str:
     """Cards, then what else could explain the data, what could not be tested, and the missing part in symbols."""
     text = '<h2 id="found">What was found</h2>\n'
+    if summary.stand_ins(discovery):
+        text += f'<p class="note">{summary.STAND_INS}</p>\n'
     text += "".join(_finding(effect) for effect in discovery.get("effects") or ())
     text += "" if discovery.get("effects") else '<p class="note">No effect was added to the physics.</p>\n'
     if discovery.get("formula"):

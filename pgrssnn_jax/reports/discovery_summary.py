@@ -29,6 +29,8 @@ VERDICTS = {
 }
 """The heading for each verdict."""
 
+STAND_INS = "The named effects below act beside what has no name, or stand in for a part of it: their numbers may be bent by it."
+
 STAGES = {"before": "physics as given", "recalibrated": "numbers refitted", "after": "with what was found"}
 SHOWN_SHIFTS = 10
 SHOWN_INTERVALS = 5
@@ -99,6 +101,11 @@ def heading(discovery: Discovery) -> str:
     if verdict == "effect_found" and count > 1:
         return f"{count} missing effects were found"
     return VERDICTS.get(verdict, verdict)
+
+
+def stand_ins(discovery: Discovery) -> bool:
+    """Are there named effects beside something that has no name?"""
+    return discovery["verdict"] == "unknown_effect" and bool(discovery.get("effects"))
 
 
 def as_metrics(discovery: Discovery) -> Metrics:
@@ -213,6 +220,8 @@ def discovery_summary(discovery: Discovery) -> Group:
         str(discovery.get("sentence") or ""), "not bold"
     )
     parts: list[RenderableType] = [Panel(verdict, box=box.HEAVY, border_style=colour, padding=(1, 2))]
+    if stand_ins(discovery):
+        parts.append(Text(STAND_INS))
     parts += [_card(effect) for effect in discovery.get("effects") or ()]
     for name, rows, why in (("or", "alternatives", "experiment"), ("cannot be tested", "untestable", "reason")):
         for row in discovery.get(rows) or ():

@@ -5,6 +5,7 @@ import pytest
 
 from pgrssnn_jax.discovery.beyond import Beyond
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
+from pgrssnn_jax.discovery.follows import Follows
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
 from pgrssnn_jax.discovery.verdict import Verdict, judge
@@ -113,6 +114,24 @@ def test_what_names_leave_near_the_noise_is_judged_by_what_luck_brings_at_most(p
 def test_where_most_of_the_error_energy_goes_near_certainty_is_enough(problem, corrected, expected):
     energies = {"recalibrated": 25.0, "named": 9.0, "corrected": corrected, "spread": 0.72}
     assert verdict(problem, **energies) is expected
+
+
+@pytest.mark.parametrize(
+    ("named", "follows", "expected"),
+    [
+        (100.0, Follows(0.6, 0.0025), Verdict.UNKNOWN_EFFECT),
+        (100.0, Follows(0.6, 0.05), Verdict.MISCALIBRATED),  # noise of the same spectrum seems to as well
+        (100.0, Follows(0.05, 0.0025), Verdict.MISCALIBRATED),  # nearly all of it is noise in the system
+        (4.0, Follows(0.6, 0.0025), Verdict.EFFECT_FOUND),
+    ],
+)
+def test_errors_far_above_the_noise_that_follow_the_signals_are_no_matter_of_numbers(problem, named, follows, expected):
+    active = (NAME,) if named < 100.0 else ()
+    base, final = model(problem, 100.0), model(problem, named, active)
+    nothing = Stage(base, (), np.zeros(400), {}, SAMPLES, 1.0)
+    found = Found(base, final, dict.fromkeys(active, nothing), nothing, nothing._replace(base=final), 1.0)
+    beyond = Beyond(None, None, None, follows)
+    assert judge(problem, found, beyond, 1e4 * SAMPLES, Rules(), 0).verdict is expected
 
 
 @pytest.mark.parametrize(
