@@ -17,6 +17,7 @@ from pgrssnn_jax.settings import call_with
 
 _ARM_STRETCHES = (60, 300)  # samples: while nothing is known, and beside the first effect
 _LEAST_BLOCKS = 4  # per fold
+_SHORTEST_BLOCK = 8  # samples: of shorter ones the neighbours say what is in them
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,8 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     estimation = join(one.train, one.validation)
     shared = conventions(config["data"]).shared_initial_state
     stretches, fixed = _stretches(settings.stretches, physics, estimation), _fixed(settings.fixed, physics)
-    settings = replace(settings, stretches=stretches, fixed=fixed)
+    block = _block(settings, estimation) if not stretches else settings.block
+    settings = replace(settings, stretches=stretches, fixed=fixed, block=block)
     start = Start.SHARED if shared else Start.AT_REST if config["initial_state"] == "zero" else Start.UNKNOWN
     _check(physics, estimation, one.test, settings, start)
     return Setup(dict(config), group, physics, estimation, one.test, start, settings)
@@ -137,6 +139,21 @@ def _stretches(wanted: list | str, physics: Physics, estimation: Record) -> list
     return wanted
 
 
+def _block(settings: DiscoverySettings, estimation: Record) -> int:
+    """Samples of a block: in short records fewer than asked for, so that every fold has some."""
+    sequences, samples = estimation.u.shape[:2]
+    blocks = _LEAST_BLOCKS * settings.folds
+    least = min(settings.block, _SHORTEST_BLOCK)
+    longest = min(samples, sequences * samples // blocks)
+    if longest < least:
+        wanted = max(least, -(-least * blocks // sequences))
+        raise ValueError(
+            f"data: train: expected at least {wanted} samples, {_LEAST_BLOCKS} blocks of {least} for each of "
+            f"discovery.folds={settings.folds}, found {samples}"
+        )
+    return min(settings.block, longest)
+
+
 def _check(physics: Physics, estimation: Record, test: Record, settings: DiscoverySettings, start: Start) -> None:
     for name, record in (("train", estimation), ("test", test)):
         for kind, channels in (("u", physics.inputs), ("y", physics.outputs)):
@@ -149,12 +166,6 @@ def _check(physics: Physics, estimation: Record, test: Record, settings: Discove
                     raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
     for length in settings.stretches:
         check_stretches(estimation, length)
-    samples, least = estimation.u.shape[1], _LEAST_BLOCKS * settings.folds * settings.block // len(estimation.u)
-    if not settings.stretches and samples < max(least, settings.block):
-        raise ValueError(
-            f"data: train: expected at least {max(least, settings.block)} samples for discovery.folds={settings.folds} "
-            f"of blocks of {settings.block}, found {samples}"
-        )
     time = test.u.shape[1]
     if start is Start.UNKNOWN and time <= settings.n_init:
         raise ValueError(

@@ -74,8 +74,8 @@ def _unexplained(
 ) -> tuple[Stage, Candidate] | None:
     """A correction without a name that does clearly better than the named effects, in their place or beside them.
 
-    Where the physics alone already reaches the noise, its share of the gap says nothing: no draw of the null may gain as
-    much.
+    Where the physics alone already reaches the noise, its share of the gap says nothing: it must gain more than every
+    draw of the null.
     """
     if found.first.free_run is not None:
         return _beside_in_stretches(beyond.beside, found.first.free_run, rules, rng)

@@ -29,7 +29,10 @@ VERDICTS = {
 }
 """The heading for each verdict."""
 
-STAND_INS = "The named effects below act beside what has no name, or stand in for a part of it: their numbers may be bent by it."
+STAND_INS = (
+    "The named effects below act beside what has no name, or stand in for a part of it: "
+    "their numbers may be bent by it."
+)
 
 STAGES = {"before": "physics as given", "recalibrated": "numbers refitted", "after": "with what was found"}
 SHOWN_SHIFTS = 10

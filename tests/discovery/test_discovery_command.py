@@ -104,10 +104,10 @@ def hole(u, y):
     [
         (240, flat, [], "data: train: y: expected a signal that varies, found only 1.5"),
         (
-            100,
+            60,
             nothing,
             [],
-            r"data: train: expected at least 160 samples for discovery.folds=2 of blocks of 20, found 100",
+            r"data: train: expected at least 64 samples, 4 blocks of 8 for each of discovery.folds=2, found 60",
         ),
         (240, nothing, ["discovery.without=[overflow]"], r"effects: expected some of .* found 'overflow'"),
         (240, hole, [], "a.csv.*line 19.*u.*nan"),
