@@ -170,7 +170,13 @@ def _parameters(found: Discovery) -> dict[str, Any]:
     free = [i for name in (None, *found.found.final.estimate.active) for i in found.problem.of(name)]
     slots = found.problem.slots
     return {
-        slots[i].label: {"value": float(theta[i]), "std": float(std[i]), "unit": slots[i].meaning.unit} for i in free
+        slots[i].label: {
+            "value": float(theta[i]),
+            "std": float(std[i]),
+            "unit": slots[i].meaning.unit,
+            "at_bound": bool(_at_bound(slots[i].meaning, theta[i])),
+        }
+        for i in free
     }
 
 

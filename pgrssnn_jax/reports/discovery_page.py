@@ -219,6 +219,7 @@ def _numbers(discovery: Discovery) -> str:
         ]
         for row in sorted(discovery.get("disagreement") or (), key=lambda row: -(row.get("share_of_error") or 0.0))
     ]
+    bounds = summary.at_bounds(discovery)
     shift_header = ("number", "before", "refitted ± std", "final ± std", "unit", "largest shift")
     network_header = ("physics", "share of the prediction", f"test RMSE{_in(network.get('unit'))}")
     where_header = ("equation", "share of the error", "share of the samples", "where", "when")
@@ -233,6 +234,7 @@ def _numbers(discovery: Discovery) -> str:
             bold=[bool(row.get("chosen")) for row in ranking],
         )
         + _section("The numbers of the physics, largest shift first", shift_header, moved)
+        + (f'<p class="note">{escape(bounds)}</p>\n' if bounds else "")
         + _section("What the network of the PG-RSSNN has to supply", network_header, supplied)
     )
 

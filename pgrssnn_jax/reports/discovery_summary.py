@@ -159,6 +159,12 @@ def shifts(discovery: Discovery) -> list[Shift]:
     return sorted(rows, key=lambda row: -math.inf if math.isnan(row.size) else row.size, reverse=True)
 
 
+def at_bounds(discovery: Discovery) -> str:
+    """Which numbers a fit was not let go further with, as a sentence; empty where there are none."""
+    names = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
+    return f"At their bounds, beyond which the fit may want to go: {', '.join(names)}." if names else ""
+
+
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs."""
     rows = []
@@ -232,7 +238,8 @@ def discovery_summary(discovery: Discovery) -> Group:
             parts.append(Text(f"{name}: {row['name']}{gain}; {why}: {row.get(why) or MISSING}"))
     if discovery.get("formula"):
         parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
-    parts += [_gap_table(discovery), *_shift_table(discovery), _source(discovery)]
+    bounds = [Text(sentence)] if (sentence := at_bounds(discovery)) else []
+    parts += [_gap_table(discovery), *_shift_table(discovery), *bounds, _source(discovery)]
     spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
     return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
 

@@ -180,6 +180,24 @@ def test_a_matrix_names_both_ends_of_its_numbers_and_what_is_at_its_bound():
     assert [row.words for row in rows] == ["1.000 ± 0.100", "2.000 ± 0.200", "3.000 ± 0.300", "4.000, at its bound"]
 
 
+def test_numbers_of_the_physics_at_their_bounds_are_listed():
+    parameters = {
+        "k1": {"value": 0.0, "std": 0.0, "at_bound": True},
+        "k2": {"value": 0.1, "std": 0.2, "at_bound": False},
+    }
+    found = {**TANK[0], "parameters": parameters}
+    for text in (printed(found, width=200), Reader(page(found)).text):
+        assert "At their bounds, beyond which the fit may want to go: k1." in text
+    assert "At their bounds" not in Reader(page({**TANK[0], "parameters": {}})).text
+
+
+def test_named_effects_beside_something_without_a_name_are_called_stand_ins():
+    assert summary.STAND_INS not in Reader(page(TANK[0])).text
+    found = {**TANK[0], "verdict": "unknown_effect"}
+    for text in (printed(found, width=200), Reader(page(found)).text):
+        assert summary.STAND_INS in text
+
+
 def test_what_could_not_be_told_is_told():
     told = {"alternatives": [{"name": "leak_tank1", "gain": 0.4, "experiment": "a step with the pump off"}]}
     told |= {"formula": "-0.02 max(x1 - 7.5, 0)", "spectrum": {"period_s": 12.5, "amplitude": 0.2, "unit": "V"}}
