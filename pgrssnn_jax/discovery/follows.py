@@ -4,8 +4,7 @@
 
 φ_j: hat functions over the reach of s; h_k: low-pass filters of several time constants, so that a curve may have acted
 some time ago. Ridge regression, judged on blocks left out, beside errors of the same spectrum and random phases.
-Sources: Wiener, Nonlinear problems in random theory, 1958 (filters and curves); Theiler et al., Physica D 58, 1992
-(surrogate data).
+Source: Wiener, Nonlinear problems in random theory, 1958 (filters and curves).
 """
 
 from typing import NamedTuple
@@ -15,11 +14,12 @@ from jaxtyping import Float
 from scipy.signal import lfilter
 
 from pgrssnn_jax.discovery.flexible import KNOTS
+from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Signals
 
 _SAMPLES = (0, 4, 16, 64)  # time constants of the filters, 0: none
 _RIDGE = 1e-2  # per sample, of features with unit variance
-_DRAWS = 400
+_DRAWS = 200
 
 
 class Follows(NamedTuple):
@@ -41,9 +41,10 @@ def follows(
     samples = features.shape[0] * features.shape[1]
     columns, fold = features.reshape(samples, -1), signals.block.reshape(samples)
     left, whole = 0.0, 0.0
+    tried = np.concatenate([error[None], surrogates(error, _DRAWS, rng)])
     for j in range(error.shape[-1]):
         counted = ((signals.weight[..., j] > 0) & (signals.block >= 0)).reshape(samples)
-        targets = _with_surrogates(error[..., j], rng).reshape(samples, -1)[counted]
+        targets = tried[..., j].reshape(1 + _DRAWS, samples).T[counted]
         predicted = _left_out(columns[counted], targets, fold[counted])
         left = left + ((targets - predicted) ** 2).sum(0)
         whole = whole + (targets**2).sum(0)
@@ -59,15 +60,6 @@ def _features(s: Float[np.ndarray, "seq time s"]) -> Float[np.ndarray, "seq time
     filtered = [lfilter([1.0 / (1 + k)], [1.0, -k / (1 + k)], hats, axis=1) for k in _SAMPLES]
     found = np.concatenate(filtered, -1)
     return found / np.maximum(found.std((0, 1)), 1e-12)
-
-
-def _with_surrogates(error: Float[np.ndarray, "seq time"], rng: np.random.Generator) -> np.ndarray:
-    """The errors `[seq, time, 1 + draw]` and surrogates with their spectrum."""
-    spectrum, time = np.fft.rfft(error, axis=1)[..., None], error.shape[1]
-    turned = np.exp(2j * np.pi * rng.random((*spectrum.shape[:2], _DRAWS)))
-    turned[:, 0] = 1.0  # the mean is no matter of phase
-    drawn = np.fft.irfft(spectrum * turned, time, axis=1)
-    return np.concatenate([error[..., None], drawn], -1)
 
 
 def _left_out(columns: np.ndarray, targets: np.ndarray, fold: np.ndarray) -> np.ndarray:
