@@ -28,6 +28,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 _ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
 _PART = 0.25  # of the share that an effect must close, where no draw of the null gains as much
 _ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
+_MANY = 3  # effects: fewer from another beginning may do as well
 _AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
 
 
@@ -155,6 +156,7 @@ def search(
     current = _settled(judge, start)
     reached = look(current).base.cost
     closed = reached**0.5 - judge.floor**0.5 <= rules.open * judge.gap and reached <= rules.above * judge.floor
+    closed = closed and len(current.active) < _MANY
     others = [c for c in first.candidates if c.name not in current.active][: rules.beam]
     best = first.candidates[0].cost if first.candidates else 0.0
     # what did as well as the first at the beginning may be what the second one needs beside it
