@@ -195,6 +195,10 @@ class _Judge(NamedTuple):
         clear = gained >= (_PART if surely else 1.0) * self.rules.share * self.gap and fall >= self.rules.least
         return clear or (gained >= self.rules.rest * left and fall >= self.rules.visible)
 
+    def counts(self, stage: Stage, candidate: Candidate) -> bool:
+        """It matters, and is not luck."""
+        return self.matters(stage, candidate) and stage.p_value(candidate) <= self.rules.p_value
+
     @property
     def gap(self) -> float:
         return max(self.recalibrated**0.5 - self.floor**0.5, 0.0)
@@ -279,7 +283,7 @@ def _count(problem: Problem, guess: Guess) -> int:
 def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     """The candidate that enters: of those that matter and beat the null the best in blocks left out, or a simpler one
     that it contains and that is as good, or one with fewer numbers that is within a standard error of it."""
-    passing = [c for c in stage.candidates if judge.matters(stage, c) and stage.p_value(c) <= judge.rules.p_value]
+    passing = [c for c in stage.candidates if judge.counts(stage, c)]
     if not passing:
         return None
     best = passing[0]
@@ -300,17 +304,23 @@ def _within_one_error(one: Candidate, best: Candidate) -> bool:
 
 
 def _other_beginnings(judge: _Judge, first: Stage, current: Guess, others: Sequence[Candidate]) -> Guess:
-    """The effect that does best alone may be none of two that only do well together: others are tried, and followed
-    where they make a better pair than the best one does. What was found first stands unless errors fall visibly."""
+    """The effect that does best alone may be none of two that only do well together, or the best only because the fit
+    of another had not come to its end: others are tried, and followed where they make a better pair than the best one
+    does, or do better alone. What was found first stands unless errors fall visibly."""
     pair = judge.look(current).base.cost
     if first.candidates and first.candidates[0].name in current.active:
         pair = min(pair, *(c.cost for c in judge.look(first.candidates[0].guess).candidates[:1]))
     for other in others:
-        best = _chosen(judge, judge.look(other.guess))
+        stage = judge.look(other.guess)
+        best = _chosen(judge, stage)
         if best is not None and best.cost < pair:
             found = _settled(judge, best.guess)
-            if judge.look(found).base.cost < (1.0 - judge.rules.least) * judge.look(current).base.cost:
-                current = found
+        elif best is None and judge.counts(first, other):
+            found = stage.base.guess
+        else:
+            continue
+        if judge.look(found).base.cost < (1.0 - judge.rules.least) * judge.look(current).base.cost:
+            current = found
     return current
 
 

@@ -21,19 +21,20 @@ def problem() -> Problem:
     return build_problem(physics, [e for e in catalogue(physics) if e.name in (INPUT, OUTPUT, DAMPING, GAIN)])
 
 
-def found(problem: Problem, energies: dict[frozenset[str], float], visible=None) -> set[str]:
-    """energies: of the errors with these effects, in units of the noise's; of others, that of nothing."""
+def found(problem: Problem, energies: dict[frozenset[str], float], visible=None, unfinished=None) -> set[str]:
+    """energies: of the errors with these effects, in units of the noise's; of others, that of nothing; unfinished: the
+    same for candidates whose fit has not come to its end."""
 
-    def model(active: tuple[str, ...]) -> Validated:
-        error = NOISE * energies.get(frozenset(active), energies[frozenset()]) ** 0.5
+    def model(active: tuple[str, ...], those: dict[frozenset[str], float]) -> Validated:
+        error = NOISE * those.get(frozenset(active), energies[frozenset()]) ** 0.5
         return Validated(Estimate(active, problem.theta, np.zeros((1, 2)), error), error, problem.theta[None])
 
     def examine(guess: Guess) -> Stage:
-        base = model(guess.active)
+        base = model(guess.active, energies)
         candidates = []
         for effect in problem.effects:
             if effect.name not in guess.active:
-                more = model((*guess.active, effect.name))
+                more = model((*guess.active, effect.name), energies | (unfinished or {}))
                 candidates.append(Candidate(effect.name, 1.0 - more.cost / base.cost, more, more.guess))
         candidates.sort(key=lambda c: c.cost)
         return Stage(base, tuple(candidates), np.zeros(400), visible or {}, SAMPLES, float((NOISE**2).mean()))
@@ -54,6 +55,19 @@ def test_what_did_worse_at_the_beginning_is_left_once_the_gap_is_closed(problem)
     worse = TIED | {frozenset({OUTPUT}): 4.0}
     assert found(problem, worse) == {INPUT}
     assert found(problem, worse | {frozenset({INPUT}): 3.9}) == {OUTPUT, DAMPING}, "the gap is open"
+
+
+def test_what_did_worse_only_because_its_fit_had_not_ended_is_taken_up(problem):
+    energies = {frozenset(): 400.0, frozenset({INPUT}): 1.5, frozenset({OUTPUT}): 1.0}
+    assert found(problem, energies, unfinished={frozenset({OUTPUT}): 2.0}) == {OUTPUT}
+    assert found(problem, energies | {frozenset({OUTPUT}): 1.48}, unfinished={frozenset({OUTPUT}): 2.0}) == {INPUT}
+
+
+def test_three_effects_are_not_believed_before_fewer_were_tried(problem):
+    three = {frozenset({INPUT}): 50.0, frozenset({INPUT, GAIN}): 9.0, frozenset({INPUT, GAIN, DAMPING}): 1.1}
+    two = {frozenset({OUTPUT}): 70.0, frozenset({OUTPUT, GAIN}): 1.0}
+    assert found(problem, {frozenset(): 400.0} | three) == {INPUT, GAIN, DAMPING}
+    assert found(problem, {frozenset(): 400.0} | three | two) == {OUTPUT, GAIN}
 
 
 def test_what_the_parameters_can_do_exactly_is_no_effect(problem):
