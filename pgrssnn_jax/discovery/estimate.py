@@ -22,7 +22,7 @@ class Settings(NamedTuple):
     of Levenberg-Marquardt, tolerance: relative fall of the cost at which they end; devices: JAX devices that share the
     lanes."""
 
-    spare: int = 7
+    spare: int = 6
     lanes: int = 48
     steps: int = 30
     tolerance: float = 1e-6

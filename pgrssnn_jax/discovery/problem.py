@@ -138,8 +138,7 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
             slots.append(Slot(keys, label, meaning, keys[0] if keys[0] in names else None))
     low, high = _bounds(params, tuple(slots))
     own = len(physics.states)
-    free = np.zeros(len(full.states), bool)
-    free[:own] = True
+    free = np.array([i < own or state.lasting for i, state in enumerate(full.states)])
     theta = np.asarray(theta, np.float64)
     return Problem(
         physics,

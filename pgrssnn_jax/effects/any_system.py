@@ -235,7 +235,7 @@ def input_delay(physics: Physics) -> Effect:
 
 
 def input_lag(physics: Physics) -> Effect:
-    dt = physics.dt
+    dt, memory = physics.dt, _memory(physics, "lagged", 1)
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """What acts is the mean over the sample: its value at the end would be half a sample ahead."""
@@ -254,6 +254,6 @@ def input_lag(physics: Physics) -> Effect:
         "input",
         {"time_constant": Parameter("τ", "s", bounds=(0.0, 50.0 * dt), neutral=0.0)},
         lambda reach: [{"time_constant": np.asarray(k * dt)} for k in (1.0, 3.0, 8.0)],
-        lambda inner: with_memory(inner, "input_lag", _memory(physics, "lagged", 1), advance),
+        lambda inner: with_memory(inner, "input_lag", [s._replace(lasting=True) for s in memory], advance),
         simpler=("input_delay",),  # a lag below one sample is a delay
     )

@@ -45,6 +45,7 @@ class Signal(NamedTuple):
     value; `rate_of` an output is its time derivative: scaled by differences, zero at the start; `holds` an input
     remembers that input: its scale, and its first value at the start. range: beyond it a value must be in another unit
     (degrees for rad); data are checked against it. start: its value at the start of a record, where it is known.
+    lasting: what an effect remembers there lasts, so that a fit must find it like the start of a state of the physics.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Signal(NamedTuple):
     range: tuple[float, float] = (-float("inf"), float("inf"))
     holds: str | None = None
     start: float | None = None
+    lasting: bool = False
 
 
 class Physics(NamedTuple):
