@@ -39,9 +39,10 @@ _KEYS = {
     "physics", "data", "model", "fit", "members",
     "seed", "n_seeds", "initial_state", "n_init", "report_n_init", "resume",
 }  # fmt: skip
-after_discovery.register()
 _LARGEST = 1e18  # whose square is still a float32
 _NOT_OF_THE_LOADER = ("name", "published_scaling", "shared_initial_state", "folds", "block")
+
+after_discovery.register()  # for jobs of a sweep and callers of this module, who have no entry script
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,12 @@ def hats(value: jax.Array, low: jax.Array, high: jax.Array, c: Float[jax.Array, 
     return (jnp.maximum(1.0 - jnp.abs(place - jnp.arange(KNOTS, dtype=c.dtype)), 0.0) * c).sum()
 
 
+def nearness(values: Float[np.ndarray, "*n"], low: Any, high: Any) -> Float[np.ndarray, "*n knots"]:
+    """φ_j of many values, for what is not traced."""
+    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
+    return np.maximum(1.0 - np.abs(place[..., None] - np.arange(KNOTS)), 0.0)
+
+
 def _family(physics: Physics, name: str, where: Where) -> Effect:
     if where.kind == "history":
         return _history(physics, name, where.target)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from pgrssnn_jax.discovery.flexible import KNOTS
+from pgrssnn_jax.discovery.flexible import nearness
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Signals
 
@@ -54,8 +54,7 @@ def follows(
 
 def _features(s: Float[np.ndarray, "seq time s"]) -> Float[np.ndarray, "seq time feature"]:
     low, high = s.min((0, 1)), s.max((0, 1))
-    place = (s - low) / np.maximum(high - low, 1e-12) * (KNOTS - 1)
-    hats = np.maximum(1.0 - np.abs(place[..., None] - np.arange(KNOTS)), 0.0).reshape(*s.shape[:2], -1)
+    hats = nearness(s, low, np.maximum(high, low + 1e-12)).reshape(*s.shape[:2], -1)
     hats = hats - hats.mean((0, 1))  # filters begin at rest
     filtered = [lfilter([1.0 / (1 + k)], [1.0, -k / (1 + k)], hats, axis=1) for k in _SAMPLES]
     found = np.concatenate(filtered, -1)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.discovery.estimate import Validated, evaluate
-from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects
+from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects, nearness
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
 from pgrssnn_jax.discovery.search import Candidate, Stage
 from pgrssnn_jax.physics.base import Physics
@@ -102,8 +102,7 @@ def _values(where: Where, signals: Signals, x: np.ndarray) -> np.ndarray:
 
 def _visits(values: np.ndarray, low: float, high: float) -> Float[np.ndarray, " knots"]:
     """How often the signal is near each knot."""
-    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
-    return np.maximum(1.0 - np.abs(place[:, None] - np.arange(KNOTS)), 0.0).sum(0)
+    return nearness(values, low, high).sum(0)
 
 
 def _sparse(at: np.ndarray, c: np.ndarray, visits: np.ndarray, name: str) -> tuple[str, Float[np.ndarray, " knots"]]:

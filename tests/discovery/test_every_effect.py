@@ -76,6 +76,13 @@ def assert_best(stage, names):
     assert own.cost < stage.base.cost
 
 
+def test_the_start_of_a_lag_is_found_and_that_of_a_delay_is_the_input():
+    code = shared("pendulum").code
+    free = {state.name: bool(f) for state, f in zip(code.full.states, code.free_start, strict=True)}
+    assert {name for name, f in free.items() if f} == {"angle", "rate", "torque_lagged"}
+    assert any(name.startswith("torque_delayed") for name in free)
+
+
 def test_no_effect_of_tanks_and_pendulums_is_left_out():
     """Linear models have no others; arms are tested on their own."""
     hidden = {name for system in SYSTEMS for name in suite.catalogue(system).acts_on}
