@@ -56,13 +56,18 @@ def look_beyond(
         base = in_flexible(problem, flexible, found.last.base, record.start)
         beside = look_linear(flexible, [record], base, settings, chosen.rules, whole=whole, **common)
         return Beyond(beside, None, None), record
-    few = settings._replace(lanes=_LANES, spare=2 * settings.spare)
+    few = for_corrections(settings)
     rules = chosen.rules._replace(finalists=_FINALISTS)
     look = partial(look_at, flexible, record, settings=few, rules=rules, **common)
     beside = look(in_flexible(problem, flexible, found.final, record.start))
     alone = look(in_flexible(problem, flexible, found.recalibrated, record.start)) if active else None
     driven = _follows(problem, record, found, chosen.rules, rng)
     return Beyond(beside, alone, _line(problem, record, found.final), driven), record
+
+
+def for_corrections(settings: Settings) -> Settings:
+    """Of fits to whole records."""
+    return settings._replace(lanes=_LANES, spare=2 * settings.spare)
 
 
 def _line(problem: Problem, record: Signals, final: Validated) -> Line | None:

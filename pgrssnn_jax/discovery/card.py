@@ -13,7 +13,7 @@ from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
-from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.physics.base import Parameter
 
 _MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
@@ -316,8 +316,11 @@ def _plain(tree: Any) -> Any:
 
 
 def _initial_state(found: Discovery) -> dict[str, float]:
-    states, x0 = found.problem.physics.states, found.found.final.estimate.x0[0]
-    return {state.name: float(x0[i]) for i, state in enumerate(states)}
+    """Of the physics, and of what the effects found remember."""
+    problem, final = found.problem, found.found.final.estimate
+    states = add(problem.physics, *map(problem.effect, final.active)).states
+    begun = dict(zip((state.name for state in problem.full.states), final.x0[0], strict=True))
+    return {state.name: float(begun[state.name]) for state in states}
 
 
 def _sentence(found: Discovery, effects: list[dict[str, Any]]) -> str:

@@ -110,7 +110,7 @@ def fit_all(
             problem,
             signals,
             lanes,
-            steps=steps or settings.steps,
+            steps=settings.steps if steps is None else steps,
             tolerance=settings.tolerance,
             devices=settings.devices,
         )

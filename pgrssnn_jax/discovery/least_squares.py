@@ -210,7 +210,7 @@ class _State(NamedTuple):
     taken: jax.Array
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@quick_jit(static_argnums=(0, 1))
 def _fit(
     code: Code, devices: int, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals
 ) -> tuple[jax.Array, ...]:

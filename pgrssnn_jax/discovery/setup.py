@@ -68,7 +68,7 @@ class DiscoverySettings:
 
 
 class Start(Enum):
-    """What is known of the start of the test record."""
+    """What is known of the start of the test record; a shared one is that of what effects remember too."""
 
     UNKNOWN = "fitted to its first samples"
     SHARED = "that of the estimation record"

@@ -5,7 +5,7 @@ record, physics ──> recalibrated ──> correction signal ──> search �
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import NamedTuple
 
@@ -13,7 +13,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.beyond import Beyond, look_beyond
+from pgrssnn_jax.discovery.ahead import ahead, compile_look
+from pgrssnn_jax.discovery.beyond import Beyond, for_corrections, look_beyond
 from pgrssnn_jax.discovery.cuts import cut, in_one
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
@@ -102,12 +103,19 @@ def discover_in(
     if in_stretches:
         lanes = min(_LANES, settings.devices)
         settings = Settings(_SPARE, lanes, min(chosen.steps, _STEPS), _ROUGH, lanes)
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), ExitStack() as stack:
         cuts = [cut(problem, estimation, chosen, stage, start) for stage in range(max(1, len(chosen.stretches)))]
         record, uncut = cuts[0], in_one(problem, estimation, chosen, start)
         whole = estimation._replace(u=uncut.u, y=uncut.y, mask=uncut.weight > 0)
         with _timed(seconds, "recalibrate"):
             _check_free_run(problem, record)
+            looks: dict[str, Callable[[], None]] = {}
+            if flexible is None and not in_stretches:
+                looks["name"] = partial(compile_look, problem, record, settings)
+                flexible = flexible_problem(problem)
+                wide = cut(flexible, estimation, chosen, 0, start)
+                looks["judge"] = partial(compile_look, flexible, wide, for_corrections(settings))
+            compiled = stack.enter_context(ahead(looks))
             given = fitted_as_given(problem, record, settings)
             begun = given
             if len(problem.of(None)):
@@ -115,6 +123,7 @@ def discover_in(
             hold = _as_known(problem, record, begun, None if in_stretches else chosen.tolerance)
             problem = hold(problem)
         with _timed(seconds, "name"):
+            compiled("name")
             common = {"settings": settings, "rules": chosen.rules, "rng": rng, "without": chosen.without}
             if in_stretches:
                 examine = partial(look_linear, problem, cuts, whole=uncut, **common)
@@ -125,6 +134,7 @@ def discover_in(
         with _timed(seconds, "locate"):
             located, x, correction = _located(problem, record, found, len(record.u) // len(uncut.u))
         with _timed(seconds, "judge"):
+            compiled("judge")
             flexible = hold(flexible or flexible_problem(problem))
             beyond, wide = look_beyond(problem, flexible, estimation, found, chosen, settings, rng, start)
             before = evaluate(problem, record, given).cost

@@ -53,6 +53,13 @@ def test_it_is_simulated_with_the_settings_of_the_discovery(tmp_path):
     np.testing.assert_allclose(physics.step(jax.tree.map(jnp.asarray, physics.params), x, u), expected, rtol=1e-6)
 
 
+def test_what_an_effect_remembers_starts_where_it_was_found(tmp_path):
+    numbers = {"parameters": NUMBERS, "effects": {"input_lag": {"time_constant": 6.0}}}
+    start = {**FOUND["initial_state"], "pump_voltage_lagged": 1.5}
+    physics = read(tmp_path, {**FOUND, "numbers": numbers, "initial_state": start})
+    assert {state.name: state.start for state in physics.states} == start
+
+
 def test_a_start_that_is_not_shared_stays_unknown(tmp_path):
     assert [s.start for s in read(tmp_path, {**FOUND, "initial_state": None}).states] == [None, None]
 
