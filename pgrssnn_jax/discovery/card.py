@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from pgrssnn_jax.discovery.locate import box, clear, intervals, signal_map
-from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.search import Candidate, Stage
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
 from pgrssnn_jax.effects.base import Effect, add
-from pgrssnn_jax.physics.base import Parameter
 
 _MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
 
@@ -60,7 +59,7 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
 
 
 def _by_gain(found: Discovery) -> list[str]:
-    """Names of the effects, the one without which the test error would be largest first."""
+    """Names of the effects, the one without which most would be left unexplained first."""
     return sorted(found.found.final.estimate.active, key=lambda name: -found.found.stages[name].rms())
 
 
@@ -85,7 +84,11 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
     own = next((c for c in stage.candidates if c.name == name), None)
     runner = next((c for c in stage.candidates if c.name != name and c.validated), None)
     acting = _acting(found, effect, numbers)
-    gap = max(search.first.rms() - search.noise**0.5, 1e-300)
+    gap = search.first.rms() - search.noise**0.5
+
+    def closed(better: float) -> float:
+        return (stage.rms() - better) / gap if gap > 0 else 0.0
+
     said: dict[str, Any] = {
         "name": name,
         "title": effect.title,
@@ -99,17 +102,17 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
                 "std": np.asarray(std[key]).tolist(),
                 "unit": meaning.unit,
                 "symbol": meaning.symbol,
-                "at_bound": _at_bound(meaning, numbers[key]).tolist(),
+                "at_bound": _at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
             }
             for key, meaning in effect.parameters.items()
         },
         "region": _region(found, acting),
-        "active_fraction": float(acting.mean()),
+        "active_fraction": float(acting.sum() / _within(found.signals).sum()),
         "intervals_s": [list(i) for i in intervals(acting[0], problem.physics.dt)][:50],
         "p_value": stage.p_value(own) if own else None,
-        "gain_train": (stage.rms() - search.last.rms()) / gap,
+        "gain_train": closed(search.last.rms()),
         "gain_test": _closed(found, found.without[name].error, found.test.after.error),
-        "runner_up": {"name": runner.name, "gain": (stage.rms() - stage.rms(runner)) / gap} if runner else None,
+        "runner_up": {"name": runner.name, "gain": closed(stage.rms(runner))} if runner else None,
         "command": command,
     }
     if effect.channels == "joint":
@@ -117,9 +120,9 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
     return said
 
 
-def _at_bound(meaning: Parameter, value: Any) -> np.ndarray:
+def _at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:
     """Is a number where its fit was not let go further? Where it changes nothing it may well be."""
-    ends = [end for end in meaning.bounds if np.isfinite(end) and end != meaning.neutral]
+    ends = [end for end in bounds if np.isfinite(end) and end != neutral]
     return np.any([np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends], axis=0) | np.zeros_like(value, bool)
 
 
@@ -137,21 +140,28 @@ def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) 
 def _acting(found: Discovery, effect: Effect, numbers: Mapping[str, Any]) -> np.ndarray:
     """When the effect acts, `[seq, time]`, in the free run of the final model."""
     x, u = found.train.after.x, found.signals.u
+    within = _within(found.signals)
     if effect.active is None:
-        return np.ones(u.shape[:2], bool)
-    return np.stack([np.asarray(effect.active(numbers, *pair)) for pair in zip(x, u, strict=True)])
+        return within
+    return within & np.stack([np.asarray(effect.active(numbers, *pair)) for pair in zip(x, u, strict=True)])
+
+
+def _within(signals: Signals) -> np.ndarray:
+    """Samples `[seq, time]` up to the last measured one: what follows fills a shorter sequence up."""
+    measured = np.any(signals.weight > 0, -1)
+    still_to_come = np.cumsum(measured[:, ::-1], 1)[:, ::-1]
+    return still_to_come > 0
 
 
 def _region(found: Discovery, acting: np.ndarray) -> str:
-    if acting.all():
+    within = _within(found.signals)
+    if acting[within].all():
         return "everywhere"
     if not acting.any():
         return "nowhere in the estimation record"
     physics = found.problem.physics
     values = np.concatenate([found.train.after.x[..., : len(physics.states)], found.signals.u], -1)
-    return box(acting.ravel() * 1.0, values.reshape(acting.size, -1), (*physics.states, *physics.inputs)).rule.split(
-        ":"
-    )[0]
+    return box(acting[within] * 1.0, values[within], (*physics.states, *physics.inputs)).rule.split(":")[0]
 
 
 def deviations(found: Discovery) -> np.ndarray:
@@ -168,13 +178,13 @@ def jackknife(folds: np.ndarray) -> np.ndarray:
 def _parameters(found: Discovery) -> dict[str, Any]:
     std, theta = deviations(found), found.found.final.estimate.theta
     free = [i for name in (None, *found.found.final.estimate.active) for i in found.problem.of(name)]
-    slots = found.problem.slots
+    slots, low, high = found.problem.slots, found.problem.low, found.problem.high
     return {
         slots[i].label: {
             "value": float(theta[i]),
             "std": float(std[i]),
             "unit": slots[i].meaning.unit,
-            "at_bound": bool(_at_bound(slots[i].meaning, theta[i])),
+            "at_bound": bool(_at_bound(theta[i], (float(low[i]), float(high[i])), slots[i].meaning.neutral)),
         }
         for i in free
     }
@@ -210,10 +220,17 @@ def _gap(found: Discovery) -> dict[str, Any]:
 
 
 def _ranking(found: Discovery) -> list[dict[str, Any]]:
-    """The first look at the whole catalogue: gain in blocks left out, in parts of the error energy."""
+    """The first look at the whole catalogue: gain in parts of the error energy, in blocks left out where candidates
+    were cross-validated, else in the fit."""
     stage, active = found.found.first, found.found.final.estimate.active
     return [
-        {"name": c.name, "gain": _energy_gain(stage, c), "p_value": stage.p_value(c), "chosen": c.name in active}
+        {
+            "name": c.name,
+            "gain": _energy_gain(stage, c),
+            "cross_validated": c.validated is not None,
+            "p_value": stage.p_value(c),
+            "chosen": c.name in active,
+        }
         for c in stage.candidates
     ]
 
@@ -274,14 +291,14 @@ def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
 def disagreement(found: Discovery) -> list[dict[str, Any]]:
     """One entry per state equation whose correction stands out, the likeliest first."""
     physics, correction = found.problem.physics, found.correction
-    values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)
-    values = values.reshape(-1, values.shape[-1])
+    within = _within(found.located)
+    values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)[within]
     said = []
     for i in np.argsort(-correction.likelihood):
-        acting = np.stack([clear(m, s) for m, s in zip(correction.mean[i], correction.std[i], strict=True)])
+        acting = within & np.stack([clear(m, s) for m, s in zip(correction.mean[i], correction.std[i], strict=True)])
         if not acting.any() or not np.isfinite(correction.likelihood[i]) or correction.likelihood[i] <= 0:
             continue
-        energy = np.where(acting, correction.mean[i] ** 2, 0.0).ravel()
+        energy = np.where(acting, correction.mean[i] ** 2, 0.0)[within]
         where = box(energy, values, (*physics.states, *physics.inputs))
         said.append(
             {
@@ -380,7 +397,8 @@ def _map_arrays(found: Discovery) -> dict[str, np.ndarray]:
     b = next((s.name for s in physics.inputs if s.name != a), names[0])
     values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)
     i = [s.name for s in physics.states].index(equation)
-    drawn = signal_map(found.correction.mean[i], values[..., names.index(a)], values[..., names.index(b)], (a, b))
+    pair = (values[..., names.index(a)], values[..., names.index(b)])
+    drawn = signal_map(found.correction.mean[i], *pair, (a, b), _within(found.located))
     return {
         "map_x_edges": drawn.a_edges, "map_u_edges": drawn.b_edges, "map_mean": drawn.mean,
         "map_std_error": drawn.std_error, "map_count": drawn.samples, "map_equation": np.array(equation),

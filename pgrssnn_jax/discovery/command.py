@@ -4,18 +4,19 @@ import json
 import shlex
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from pgrssnn_jax.discovery.card import discovery_arrays, discovery_json
-from pgrssnn_jax.discovery.network import network_shares
+from pgrssnn_jax.discovery.network import network_shares, plan_network
 from pgrssnn_jax.discovery.setup import Setup, set_up
-from pgrssnn_jax.discovery.workflow import discover
+from pgrssnn_jax.discovery.workflow import check_free_run, discover
 from pgrssnn_jax.entry import Interrupted
 from pgrssnn_jax.plan import plain
 from pgrssnn_jax.reports.discovery_summary import discovery_summary
@@ -30,12 +31,21 @@ def prepare_discovery(config: DictConfig) -> Callable[[threading.Event], None]:
     folder = Path(hydra.runtime.output_dir)
     started = time.perf_counter()
     try:
-        setup = set_up(plain(config), console.print)
+        setup = checked(plain(config), console.print)
     finally:
         discard_if_empty(folder)
     command = shlex.join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
     loading = time.perf_counter() - started
     return partial(discovery_run, setup, RunFolder(folder), console, command=command, seconds={"load": loading})
+
+
+def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
+    """Everything that could turn out to be bad input later is tried. Raises `ValueError`."""
+    setup = set_up(config, notify)
+    check_free_run(setup)
+    if setup.settings.network_epochs:
+        plan_network(setup, None)
+    return setup
 
 
 def discovery_run(
@@ -64,11 +74,8 @@ def discovery_run(
     run.write_json("discovery.json", said)
     started = time.perf_counter()
     if setup.settings.network_epochs and found.found.final.estimate.active:
-        old = {**setup.config["physics"], "effects": None}
-        new = {**old, "effects": str(run.path / "discovery.json")}
-        said["network"] = network_shares(
-            setup.config, old, new, setup.settings.network_epochs, partial(_progress, console, stop), stop
-        )
+        effects = str(run.path / "discovery.json")
+        said["network"] = network_shares(setup, effects, partial(_progress, console, stop), stop)
         said["seconds"]["network"] = time.perf_counter() - started
     said["seconds"] = {**seconds, **said["seconds"]}
     said["seconds"]["total"] = sum(said["seconds"].values())

@@ -98,17 +98,19 @@ def signal_map(
     a: Float[np.ndarray, "seq time"],
     b: Float[np.ndarray, "seq time"],
     names: tuple[str, str],
+    counts: Bool[np.ndarray, "seq time"],
 ) -> Map:
-    """Mean and standard error of the correction per cell; the error counts visits, not samples, because neighbouring
-    samples tell the same."""
-    edges = [np.linspace(s.min(), s.max() + 1e-9 * (1.0 + abs(s.max())), _CELLS + 1) for s in (a, b)]
+    """Mean and standard error of the correction per cell over the samples that count; the error counts visits, not
+    samples, because neighbouring samples tell the same."""
+    ends = [(s[counts].min(), s[counts].max()) for s in (a, b)]
+    edges = [np.linspace(low, high + 1e-9 * (1.0 + abs(high)), _CELLS + 1) for low, high in ends]
     place = [np.clip(np.searchsorted(e, s, "right") - 1, 0, _CELLS - 1) for e, s in zip(edges, (a, b), strict=True)]
     cell = place[0] * _CELLS + place[1]
     begins = np.ones(cell.shape, bool)
     begins[:, 1:] = cell[:, 1:] != cell[:, :-1]
 
     def totals(weights: np.ndarray) -> np.ndarray:
-        return np.bincount(cell.ravel(), weights.ravel(), _CELLS**2).reshape(_CELLS, _CELLS)
+        return np.bincount(cell[counts], weights[counts], _CELLS**2).reshape(_CELLS, _CELLS)
 
     count, visits = totals(np.ones(cell.shape)), totals(begins * 1.0)
     enough = count >= _FEW

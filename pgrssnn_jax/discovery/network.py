@@ -6,42 +6,49 @@ Training begins at the physics (output heads at zero), so the physics alone is t
 """
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from pgrssnn_jax import evaluate
+from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.effects.discovered import OF_TRAINING
 from pgrssnn_jax.members import jit_members, keys_of
 from pgrssnn_jax.metrics import nrmse, rmse
-from pgrssnn_jax.plan import plan_training
+from pgrssnn_jax.plan import Plan, plan_training
 from pgrssnn_jax.training import no_losses, train
 
 
-def network_shares(
-    config: Mapping[str, Any],
-    old: Mapping[str, Any],
-    new: Mapping[str, Any],
-    epochs: int,
-    notify: Callable[[str], None],
-    stop: threading.Event,
-) -> dict[str, Any]:
-    """config: of a training run; old, new: its `physics` group without and with the effects."""
+def plan_network(setup: Setup, effects: str | None) -> Plan:
+    """Training on the record that was examined; effects: the file of what was found, None for the physics as given.
+    Raises `ValueError` for settings of the training that are none."""
+    config, given = setup.config, setup.config["physics"]
+    kept = {name: given[name] for name in OF_TRAINING if name in given}
     settings = {
         **{key: value for key, value in config.items() if key != "discovery"},
+        "physics": {**setup.group, **kept, "effects": effects},
+        "data": {name: 1 if name == "realisations" else value for name, value in config["data"].items()},
         "model": {**config["model"], "start_from_physics": True},
-        "fit": {**config["fit"], "epochs": epochs},
+        "fit": {**config["fit"], "epochs": setup.settings.network_epochs},
     }
-    shares = {}
-    for when, group in (("before", old), ("after", new)):
-        share, error, unit = _one({**settings, "physics": dict(group)}, stop)
-        shares |= {f"share_{when}": share, f"rmse_{when}": error, "unit": unit}
-        notify(f"PG-RSSNN {when}: the network supplies {100 * share:.1f} % of the prediction, error {error:.3g} {unit}")
-    return {**shares, "epochs": epochs, "members": config["n_seeds"]}
+    return plan_training(settings, lambda line: None)
 
 
-def _one(config: Mapping[str, Any], stop: threading.Event) -> tuple[float, float, str]:
-    plan = plan_training(config, lambda line: None)
+def network_shares(setup: Setup, effects: str, notify: Callable[[str], None], stop: threading.Event) -> dict[str, Any]:
+    """effects: the file of what was found."""
+    shares: dict[str, Any] = {}
+    for when, added in (("before", None), ("after", effects)):
+        plan = plan_network(setup, added)
+        share, error, metric, unit = _one(plan, stop)
+        shares |= {f"share_{when}": share, f"{metric.lower()}_{when}": error, "metric": metric, "unit": unit}
+        said = f"{metric} {error:.3g} {unit}".rstrip()
+        notify(f"PG-RSSNN {when}: the network supplies {100 * share:.1f} % of the prediction, {said}")
+        shares["members"] = len(plan.members)
+    return {**shares, "epochs": setup.settings.network_epochs}
+
+
+def _one(plan: Plan, stop: threading.Event) -> tuple[float, float, str, str]:
     begun = jit_members(plan.fit.begin, plan.mapping)(keys_of(plan.members), plan.data)
     alone = evaluate.predict(plan.fit.objective, begun, plan.data, plan.test, plan.mapping).test
     done = train(
@@ -59,5 +66,5 @@ def _one(config: Mapping[str, Any], stop: threading.Event) -> tuple[float, float
         shares.append(float(np.mean(added / spread)))
         error = (nrmse if several else rmse)(measured=y, predicted=together[i], mask=mask, n_init=plan.report_n_init[0])
         errors.append(float(np.mean(error)))
-    unit = "" if several else measured.info.outputs[0].unit
-    return float(np.mean(shares)), float(np.mean(errors)), unit
+    metric, unit = ("NRMSE", "") if several else ("RMSE", measured.info.outputs[0].unit)
+    return float(np.mean(shares)), float(np.mean(errors)), metric, unit

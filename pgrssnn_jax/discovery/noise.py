@@ -12,14 +12,11 @@ _TRIM = 0.02  # share of the largest second differences left out: steps of the i
 
 
 def noise_floor(error: Float[np.ndarray, "seq time y"], weight: Float[np.ndarray, "seq time y"]) -> float:
-    """Σ (w e)² of white noise of the size seen between neighbouring samples; never above that of `error`."""
-    if error.shape[1] < 3:
-        return 0.0
-    second = error[:, 2:] - 2.0 * error[:, 1:-1] + error[:, :-2]
-    measured = (weight[:, 2:] > 0) & (weight[:, 1:-1] > 0) & (weight[:, :-2] > 0)
+    """Σ (w e)² of white noise of the size seen between neighbouring measured samples; never above that of `error`."""
     total = 0.0
     for j in range(error.shape[2]):
-        squares = np.sort(second[..., j][measured[..., j]] ** 2)
+        measured = [sequence[counts] for sequence, counts in zip(error[..., j], weight[..., j] > 0, strict=True)]
+        squares = np.sort(np.concatenate([np.diff(one, 2) for one in measured]) ** 2)
         kept = squares[: max(1, int(len(squares) * (1.0 - _TRIM)))]
         # the mean of a squared normal deviate without its largest 2 % is 0.87
         total += float(kept.mean()) / 6.0 / 0.87 * float((weight[..., j] > 0).sum()) if len(squares) else 0.0

@@ -20,6 +20,7 @@ from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.records import Record
 
 _MATRIX_REACH = 0.5  # of a matrix's largest entry
+_BEGINNING = 8  # one part in so many of a short sequence is in every fit
 ALWAYS = -2  # fold of samples that are never left out
 
 
@@ -177,8 +178,8 @@ def _size(theta: np.ndarray) -> np.ndarray:
 def signals(problem: Problem, record: Record, *, folds: int, block: int) -> Signals:
     """Records in float64 with weights 1 / std(y) and interleaved blocks of `block` samples in `folds` folds.
 
-    Blocks are short and folds interleave, so that an effect that acts in one stretch only is in every fold. The first
-    block of a sequence stays in every fit: it is what says where the sequence starts.
+    Blocks are short and folds interleave, so that an effect that acts in one stretch only is in every fold. The
+    beginning of a sequence, a block or an eighth of it, stays in every fit: it is what says where the sequence starts.
     """
     u, y = np.asarray(record.u, np.float64), np.asarray(record.y, np.float64)
     mask = np.asarray(record.mask, bool)
@@ -186,8 +187,10 @@ def signals(problem: Problem, record: Record, *, folds: int, block: int) -> Sign
     spread = np.nanstd(counted, axis=(0, 1))
     weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
     n_seq, time = u.shape[:2]
-    order = np.arange(n_seq)[:, None] * (time // block + 1) + np.arange(time)[None] // block
-    fold = np.where(np.arange(time) < block, ALWAYS, order % folds)
+    turn = time // block + 1
+    turn += turn % folds == 0  # or every sequence would leave the same blocks out
+    order = np.arange(n_seq)[:, None] * turn + np.arange(time)[None] // block
+    fold = np.where(np.arange(time) < min(block, max(1, time // _BEGINNING)), ALWAYS, order % folds)
     start = start_guess(problem.full, u, y, mask)
     return Signals(u, y, weight, fold, start, np.zeros(start.shape))
 

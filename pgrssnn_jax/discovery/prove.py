@@ -61,7 +61,7 @@ def fitted_start(
     """x_0 of every sequence from its first n_init samples, with θ as it is."""
     part = [np.asarray(a)[:, :n_init] for a in (record.u, record.y, record.mask)]
     u, y, mask = part[0].astype(np.float64), part[1].astype(np.float64), part[2]
-    spread = np.std(np.asarray(record.y), axis=(0, 1))
+    spread = np.nanstd(np.where(record.mask, record.y, np.nan), axis=(0, 1))
     weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
     start = start_guess(problem.full, u, y, mask)
     signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, np.zeros(start.shape))

@@ -108,9 +108,11 @@ def chance(null: Float[np.ndarray, " draw"], gain: float) -> float:
 
 
 def size_and_noise(signals: Signals, tried: Sequence[Validated]) -> tuple[int, float]:
-    """Samples that count, and the variance of the noise that the best of some models leaves."""
-    size = max(1, int((signals.weight > 0).sum()))
-    return size, min(noise_floor(v.estimate.error, signals.weight) for v in tried) / size
+    """Samples that cross-validation counts, and the variance of the noise that the best of some models leaves."""
+    measured = signals.weight > 0
+    size = int((measured & (signals.block >= 0)[..., None]).sum())
+    noise = min(noise_floor(v.estimate.error, signals.weight) for v in tried) / max(1, int(measured.sum()))
+    return max(1, size), noise
 
 
 class Found(NamedTuple):
@@ -309,7 +311,7 @@ def _other_beginnings(judge: _Judge, first: Stage, current: Guess, others: Seque
     does, or do better alone. What was found first stands unless errors fall visibly."""
     pair = judge.look(current).base.cost
     if first.candidates and first.candidates[0].name in current.active:
-        pair = min(pair, *(c.cost for c in judge.look(first.candidates[0].guess).candidates[:1]))
+        pair = min([pair, *(c.cost for c in judge.look(first.candidates[0].guess).candidates[:1])])
     for other in others:
         stage = judge.look(other.guess)
         best = _chosen(judge, stage)

@@ -58,7 +58,11 @@ class DiscoverySettings:
         for name, value in (("p_value", self.p_value), ("share", self.share)):
             if not 0.0 < value < 1.0:
                 raise ValueError(f"discovery.{name}: expected a number between 0 and 1, found {value:g}")
-
+        if self.p_value * (1 + self.draws) < 1.0:
+            raise ValueError(
+                f"discovery.p_value: expected at least 1 / {1 + self.draws}, the least that discovery.draws="
+                f"{self.draws} can tell, found {self.p_value:g}"
+            )
         if self.tolerance is not None and not self.tolerance > 0.0:
             raise ValueError(f"discovery.tolerance: expected null or a number above 0, found {self.tolerance:g}")
 
@@ -92,12 +96,15 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     """config: the resolved configuration as plain data. Raises `ValueError` with one sentence."""
     settings = call_with(DiscoverySettings, config["discovery"], "discovery")
     group = {name: _replaced(settings.replace.get(name, value), value) for name, value in config["physics"].items()}
+    if group.get("effects") is not None:
+        raise ValueError(f"physics.effects: expected null, what is missing is to be found, found {group['effects']!r}")
     group["effects"] = None
     physics = load_physics(group)
     if physics.remark:
         notify(physics.remark)
     catalogue(physics, settings.without)
-    splits = load_splits(config["data"], physics, notify)
+    whole = {name: None if name == "window" else value for name, value in config["data"].items()}
+    splits = load_splits(whole, physics, notify)
     if len(splits.train.u) > 1:
         notify(
             f"discovery looks at the first of {len(splits.train.u)} realisations (data.realisations=1 loads no more)"

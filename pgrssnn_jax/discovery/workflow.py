@@ -80,7 +80,7 @@ class Discovery(NamedTuple):
 
 
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
-    """Raises `ValueError` when the physics as given cannot be simulated over the record."""
+    """Of a physics whose free run over the record stays finite (`check_free_run`)."""
     problem = build_problem(setup.physics, catalogue(setup.physics), fixed=setup.settings.fixed)
     return discover_in(problem, setup.estimation, setup.test, setup.settings, notify, start=setup.start)
 
@@ -108,7 +108,6 @@ def discover_in(
         record, uncut = cuts[0], in_one(problem, estimation, chosen, start)
         whole = estimation._replace(u=uncut.u, y=uncut.y, mask=uncut.weight > 0)
         with _timed(seconds, "recalibrate"):
-            _check_free_run(problem, record)
             looks: dict[str, Callable[[], None]] = {}
             if flexible is None and not in_stretches:
                 looks["name"] = partial(compile_look, problem, record, settings)
@@ -229,12 +228,16 @@ def _as_known(problem: Problem, record: Signals, begun: Guess, tolerance: float 
     return lambda other: other.held(tolerance, noise)
 
 
-def _check_free_run(problem: Problem, record: Signals) -> None:
-    _, x = simulate(problem, record.u, problem.theta[None], record.start[None])
+def check_free_run(setup: Setup) -> None:
+    """Raises `ValueError` when the physics as given cannot be simulated over the record."""
+    with jax.enable_x64(True):
+        problem = build_problem(setup.physics, ())
+        record = cut(problem, setup.estimation, setup.settings, 0, setup.start)
+        _, x = simulate(problem, record.u, problem.theta[None], record.start[None])
     finite = np.isfinite(x[0]).all((0, 2))
     if not finite.all():
         raise ValueError(
-            f"physics {problem.physics.name!r}: expected a free run that stays finite over the record, found states "
+            f"physics {setup.physics.name!r}: expected a free run that stays finite over the record, found states "
             f"beyond the floating-point range from sample {int(np.argmin(finite))} on"
         )
 

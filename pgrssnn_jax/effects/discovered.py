@@ -11,7 +11,7 @@ import numpy as np
 from pgrssnn_jax.effects.catalogue import add_named
 from pgrssnn_jax.physics.base import Physics
 
-_OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is
+OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is
 _KEYS = ("system", "verdict", "physics", "numbers", "initial_state")
 
 
@@ -27,7 +27,7 @@ def discovered_physics(group: Mapping[str, Any], load: Callable[[Mapping[str, An
     if found["physics"].get("_target_") != group["_target_"]:
         expected, other = group["_target_"], found["physics"].get("_target_")
         raise ValueError(f"physics.effects: {path}: expected a discovery of {expected}, found one of {other}")
-    kept = {name: group[name] for name in _OF_TRAINING if name in group}
+    kept = {name: group[name] for name in OF_TRAINING if name in group}
     base = load({**found["physics"], **kept, "effects": None})
     parameters = found["numbers"]["parameters"]
     if sorted(parameters) != sorted(base.params):

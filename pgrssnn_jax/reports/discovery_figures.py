@@ -26,8 +26,9 @@ DISCOVERY_CAPTIONS = {
     " that is most wrong would have to be corrected at every moment. Shaded: where most of the error arises.",
     "Map": "The same correction against the state and the input. A missing effect shows as a patch of one colour: that"
     " is where it acts. Cells visited fewer than 8 times are grey; a dot marks two standard errors from zero or more.",
-    "Candidates": "How much of the gap each effect closes in cross-validation. What stays left of the dashed"
-    " line is no more than chance does when nothing is missing; the ticks at the foot are its draws.",
+    "Candidates": "How much of the error energy each effect takes away in cross-validation, the last ones in their"
+    " fit. What stays left of the dashed line is no more than chance does when nothing is missing; the ticks at the"
+    " foot are its draws.",
     "Shifts": "How far the numbers of the physics moved from where they began. Numbers that move far to make up for a"
     " missing effect come back once it is there.",
 }
@@ -150,7 +151,7 @@ def map_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
 
 def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
-    """Candidate effects by the share of the gap they close in cross-validation, best first; chosen ones are blue."""
+    """Candidate effects by the error energy they take away in cross-validation, best first; chosen ones are blue."""
     found = [row for row in discovery.get("ranking") or () if np.isfinite(real(row.get("gain")))]
     found = sorted(found, key=lambda row: row["gain"], reverse=True)
     shown = [row for k, row in enumerate(found) if k < SHOWN_BARS or row.get("chosen")]
@@ -160,7 +161,7 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     draws = draws[np.isfinite(draws)]
     left_out = f", {len(found) - len(shown)} weaker ones left out" if len(found) > len(shown) else ""
     figure = _page(discovery, max(1.6, 0.24 * (len(shown) + 1) + 0.7), f"{len(shown)} candidates{left_out}")
-    ax = style.quiet(figure.add_subplot(), x="gap closed in cross-validation (%)")
+    ax = style.quiet(figure.add_subplot(), x="error energy taken away in cross-validation (%)")
     ax.grid(False, axis="y")
     names += ["nothing missing"] if len(draws) else []
     ax.set_yticks(range(len(names)), names)

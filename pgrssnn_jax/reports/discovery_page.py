@@ -129,7 +129,7 @@ def _found(discovery: Discovery) -> str:
         [escape(str(row["name"])), escape(str(row.get("reason") or MISSING))]
         for row in discovery.get("untestable") or ()
     ]
-    header = ("effect", "gap closed", "experiment that would tell")
+    header = ("effect", "error energy taken away", "experiment that would tell")
     text += _section("Alternatives that these data cannot tell apart", header, others, look="prose")
     return text + _section("Effects that these data cannot test", ("effect", "why"), silent, look="prose")
 
@@ -185,7 +185,7 @@ def _numbers(discovery: Discovery) -> str:
     ]
     tried = [
         [
-            escape(str(row["name"])),
+            escape(str(row["name"]) + ("" if row.get("cross_validated", True) else " (fitted only)")),
             _share(row.get("gain")),
             _chance(row.get("p_value")),
             "yes" if row.get("chosen") else "no",
@@ -204,8 +204,9 @@ def _numbers(discovery: Discovery) -> str:
         for row in summary.shifts(discovery)
     ]
     network = discovery.get("network") or {}
+    of = str(network.get("metric") or "RMSE")
     supplied = [
-        [words, _share(network.get(f"share_{stage}")), number(real(network.get(f"rmse_{stage}")))]
+        [words, _share(network.get(f"share_{stage}")), number(real(network.get(f"{of.lower()}_{stage}")))]
         for stage, words in summary.STAGES.items()
         if f"share_{stage}" in network
     ]
@@ -221,15 +222,15 @@ def _numbers(discovery: Discovery) -> str:
     ]
     bounds = summary.at_bounds(discovery)
     shift_header = ("number", "before", "refitted ± std", "final ± std", "unit", "largest shift")
-    network_header = ("physics", "share of the prediction", f"test RMSE{_in(network.get('unit'))}")
+    network_header = ("physics", "share of the prediction", f"test {of}{_in(network.get('unit'))}")
     where_header = ("equation", "share of the error", "share of the samples", "where", "when")
     return (
         '<h2 id="numbers">Numbers</h2>\n'
         + _section(f"The gap: {metric}{_in(unit)}", ("physics", "train", "test", "test, from", "test, to"), gap)
         + _section("Where physics and measurement disagree", where_header, where)
         + _section(
-            "Candidate effects, gap closed in cross-validation",
-            ("effect", "gap closed", "p", "chosen"),
+            "Candidate effects, error energy taken away in cross-validation",
+            ("effect", "error energy", "p", "chosen"),
             tried,
             bold=[bool(row.get("chosen")) for row in ranking],
         )

@@ -234,7 +234,7 @@ def discovery_summary(discovery: Discovery) -> Group:
     parts += [_card(effect) for effect in discovery.get("effects") or ()]
     for name, rows, why in (("or", "alternatives", "experiment"), ("cannot be tested", "untestable", "reason")):
         for row in discovery.get(rows) or ():
-            gain = f", closes {percent(row['gain'])}" if row.get("gain") is not None else ""
+            gain = f", takes {percent(row['gain'])} of the error energy away" if row.get("gain") is not None else ""
             parts.append(Text(f"{name}: {row['name']}{gain}; {why}: {row.get(why) or MISSING}"))
     if discovery.get("formula"):
         parts.append(Text(f"best description of what is missing: {discovery['formula']}"))

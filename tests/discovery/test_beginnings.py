@@ -51,6 +51,12 @@ def test_what_did_as_well_as_the_first_is_followed_too(problem):
     assert found(problem, TIED) == {OUTPUT, DAMPING}
 
 
+def test_a_single_hypothesis_may_be_right():
+    physics = linear(A=[[0.7]], B=[[1.0]], C=[[1.0]])
+    alone = build_problem(physics, [e for e in catalogue(physics) if e.name == DAMPING])
+    assert found(alone, {frozenset(): 400.0, frozenset({DAMPING}): 1.0}) == {DAMPING}
+
+
 def test_what_did_worse_at_the_beginning_is_left_once_the_gap_is_closed(problem):
     worse = TIED | {frozenset({OUTPUT}): 4.0}
     assert found(problem, worse) == {INPUT}

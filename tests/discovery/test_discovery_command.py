@@ -8,7 +8,7 @@ import pytest
 from commands import QUICK, ROOT, command
 from hydra import compose, initialize_config_dir
 
-from pgrssnn_jax.discovery.setup import set_up
+from pgrssnn_jax.discovery.command import checked
 from pgrssnn_jax.plan import plain
 
 LINEAR = ["physics=lgssm", "physics.A=[[0.8]]", "physics.B=[[1.0]]", "physics.C=[[1.0]]", "data=csv"]
@@ -123,11 +123,20 @@ def hole(u, y):
             "data: train: expected sequences of at least 300 measured samples",
         ),
         (240, nothing, ["discovery.n_init=120"], "discovery.n_init: expected fewer than the 120 samples"),
+        (240, nothing, ["discovery.p_value=0.005"], "discovery.p_value: expected at least 1 / 100"),
+        (240, nothing, ["physics.effects=found.json"], "physics.effects: expected null, .* found 'found.json'"),
+        (240, nothing, ["physics.A=[[50.0]]"], "physics 'lgssm': expected a free run that stays finite"),
+        (
+            240,
+            nothing,
+            ["discovery.network_epochs=1", "model.hidden=-3"],
+            "model: hidden and gru_layers: expected at least 1, found -3",
+        ),
     ],
 )
 def test_bad_input_is_named(tmp_path, samples, change, more, sentence):
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         config = compose("discover", [*LINEAR, *files(tmp_path, samples, change), *SHORT, *more])
     with pytest.raises(ValueError, match=sentence) as problem:
-        set_up(plain(config), lambda line: None)
+        checked(plain(config), lambda line: None)
     assert "\n" not in str(problem.value)

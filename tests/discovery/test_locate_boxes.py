@@ -81,7 +81,7 @@ def test_a_map_shows_means_and_leaves_cells_with_few_samples_empty():
     a = np.concatenate([np.full(50, 0.0), np.full(5, 5.0), np.full(60, 10.0)])[None]
     b = np.concatenate([np.full(50, 1.0), np.full(5, 1.0), np.full(60, 3.0)])[None]
     correction = np.where(a == 0.0, 0.5, -2.0)
-    found = signal_map(correction, a, b, ("level", "pump"))
+    found = signal_map(correction, a, b, ("level", "pump"), np.ones(a.shape, bool))
     assert (found.a, found.b) == ("level", "pump")
     assert found.samples.sum() == 115
     assert (found.mean[0, 0], found.samples[0, 0]) == (0.5, 50)
@@ -90,11 +90,19 @@ def test_a_map_shows_means_and_leaves_cells_with_few_samples_empty():
     assert np.isnan(found.mean[found.samples == 5]).all()
 
 
+def test_samples_that_do_not_count_are_in_no_cell():
+    a, correction = np.r_[np.zeros(50), np.full(50, 9.0)][None], np.ones((1, 100))
+    found = signal_map(correction, a, a, ("a", "b"), a < 5.0)
+    assert found.samples.sum() == 50
+    assert found.a_edges[-1] < 1e-6
+
+
 def test_neighbouring_samples_are_one_visit():
     """Sixty samples in one visit say less than sixty in twenty."""
     noise = np.random.default_rng(1).normal(size=(1, 120))
     once = np.repeat([0.0, 1.0], 60)[None]
     often = np.tile(np.repeat([0.0, 1.0], 3), 20)[None]
-    errors = [signal_map(noise, a, np.zeros_like(a), ("a", "b")).std_error[0, 0] for a in (once, often)]
+    every = np.ones(noise.shape, bool)
+    errors = [signal_map(noise, a, np.zeros_like(a), ("a", "b"), every).std_error[0, 0] for a in (once, often)]
     assert errors[0] > 2 * errors[1]
     assert errors[0] == pytest.approx(noise[0, :60].std(), rel=1e-9)

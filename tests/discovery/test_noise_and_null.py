@@ -45,6 +45,13 @@ def test_samples_that_were_not_measured_do_not_count():
     assert noise_floor(wild, weight) == pytest.approx(0.09 * (weight > 0).sum(), rel=0.05)
 
 
+@pytest.mark.parametrize("pattern", [(1, 0), (1, 1, 0), (1, 0, 0, 0)])
+def test_the_floor_needs_no_neighbours_that_were_measured(pattern):
+    slow = np.sin(np.arange(1500) / 40)[None, :, None]
+    error, weight = slow + white(), np.ones((2, 1500, 2)) * np.resize(pattern, 1500)[None, :, None]
+    assert noise_floor(error, weight) == pytest.approx(0.09 * weight.sum(), rel=0.1)
+
+
 @pytest.mark.parametrize("time", [100, 101])
 def test_surrogates_keep_the_spectrum(time):
     error = np.cumsum(white(shape=(2, time, 3)), 1)
