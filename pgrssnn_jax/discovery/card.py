@@ -15,6 +15,7 @@ from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
 from pgrssnn_jax.effects.base import Effect, add
 
+_INTERVALS = 50  # written, at most
 _MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
 
 
@@ -108,7 +109,7 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
         },
         "region": _region(found, acting),
         "active_fraction": float(acting.sum() / _within(found.signals).sum()),
-        "intervals_s": [list(i) for i in intervals(acting[0], problem.physics.dt)][:50],
+        **_when(acting, problem.physics.dt),
         "p_value": stage.p_value(own) if own else None,
         "gain_train": closed(search.last.rms()),
         "gain_test": _closed(found, found.without[name].error, found.test.after.error),
@@ -123,7 +124,8 @@ def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
 def _at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:
     """Is a number where its fit was not let go further? Where it changes nothing it may well be."""
     ends = [end for end in bounds if np.isfinite(end) and end != neutral]
-    return np.any([np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends], axis=0) | np.zeros_like(value, bool)
+    near = [np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends]
+    return np.asarray(np.any([np.zeros_like(value, bool), *near], axis=0))
 
 
 def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:
@@ -144,6 +146,12 @@ def _acting(found: Discovery, effect: Effect, numbers: Mapping[str, Any]) -> np.
     if effect.active is None:
         return within
     return within & np.stack([np.asarray(effect.active(numbers, *pair)) for pair in zip(x, u, strict=True)])
+
+
+def _when(acting: np.ndarray, dt: float) -> dict[str, Any]:
+    """Intervals of the first sequence, from 1, in which anything acts."""
+    first = int(np.argmax(acting.any(1)))
+    return {"sequence": first + 1, "intervals_s": [list(pair) for pair in intervals(acting[first], dt)][:_INTERVALS]}
 
 
 def _within(signals: Signals) -> np.ndarray:
@@ -307,7 +315,7 @@ def disagreement(found: Discovery) -> list[dict[str, Any]]:
                 "rule": where.rule,
                 "share_of_error": where.share_of_error,
                 "share_of_samples": where.share_of_samples,
-                "intervals_s": [list(pair) for pair in intervals(acting[0], physics.dt)][:50],
+                **_when(acting, physics.dt),
                 "log_likelihood": float(correction.likelihood[i]),
             }
         )

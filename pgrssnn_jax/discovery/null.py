@@ -105,7 +105,7 @@ def _beside(columns: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n m"]) 
     return columns - basis @ (basis.T @ columns)
 
 
-def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "n d"]:
+def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "n m"]:
     """Derivatives by θ as they are, and one set of columns for the initial state of every sequence."""
     n_seq = len(dy)
     flat = dy.reshape(n_seq, -1, dy.shape[-1])

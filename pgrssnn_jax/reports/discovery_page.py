@@ -216,7 +216,7 @@ def _numbers(discovery: Discovery) -> str:
             _share(row.get("share_of_error")),
             _share(row.get("share_of_samples")),
             escape(str(row.get("rule") or _region(row.get("region") or {}))),
-            escape(summary.intervals(row.get("intervals_s")) or MISSING),
+            escape(summary.intervals(row) or MISSING),
         ]
         for row in sorted(discovery.get("disagreement") or (), key=lambda row: -(row.get("share_of_error") or 0.0))
     ]

@@ -90,7 +90,8 @@ def worst(discovery: Discovery, arrays: Arrays, sequence: int) -> tuple[int | No
     listed = (names.index(row["equation"]) for row in rows if row.get("equation") in names)
     state = next((k for k in listed if k in size), max(size, key=size.__getitem__, default=None))
     own = [row for row in rows if state is not None and row.get("equation") == names[state]] or rows[:1]
-    return state, [span for row in own for span in row.get("intervals_s") or ()]
+    drawn = [row for row in own if row.get("sequence", 1) == sequence + 1]
+    return state, [span for row in drawn for span in row.get("intervals_s") or ()]
 
 
 def rate(unit: str) -> str:

@@ -196,11 +196,13 @@ def _places(effect: Mapping[str, Any], shape: tuple[int, ...]) -> list[str]:
     return [", ".join(f"{of_axes[d]} {k + 1}" for d, k in enumerate(index)) for index in np.ndindex(shape)]
 
 
-def intervals(listed: Sequence[Sequence[Number]] | None) -> str:
-    """Spans of time in words, the first few of many."""
+def intervals(row: Mapping[str, Any]) -> str:
+    """Spans of time in words, the first few of many; of another sequence than the first, which one."""
+    listed: Sequence[Sequence[Number]] | None = row.get("intervals_s")
+    sequence = f" of sequence {row['sequence']}" if row.get("sequence", 1) > 1 and listed else ""
     spans = [f"{start:g} to {stop:g} s" for start, stop in (listed or ())]
     more = f" and {len(spans) - SHOWN_INTERVALS} more" if len(spans) > SHOWN_INTERVALS else ""
-    return ", ".join(spans[:SHOWN_INTERVALS]) + more
+    return ", ".join(spans[:SHOWN_INTERVALS]) + more + sequence
 
 
 def effect_facts(effect: Mapping[str, Any]) -> dict[str, str]:
@@ -214,7 +216,7 @@ def effect_facts(effect: Mapping[str, Any]) -> dict[str, str]:
         "acts on": ", joint ".join(filter(None, (str(effect.get("acts_on") or ""), joints))),
         "where": effect.get("region"),
         "active": f"in {active} of the samples" if active else "",
-        "when": intervals(effect.get("intervals_s")),
+        "when": intervals(effect),
         "gap closed": f"{gains[0]} on test, {gains[1]} on training data",
         "by chance": f"p = {p:.2g}" if p is not None else "",
         "runner-up": f"{runner.get('name')}, would close {percent(runner.get('gain'))}" if runner else "",

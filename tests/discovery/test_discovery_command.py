@@ -8,7 +8,9 @@ import pytest
 from commands import QUICK, ROOT, command
 from hydra import compose, initialize_config_dir
 
+from pgrssnn_jax.discovery.card import discovery_json
 from pgrssnn_jax.discovery.command import checked
+from pgrssnn_jax.discovery.workflow import discover
 from pgrssnn_jax.plan import plain
 
 LINEAR = ["physics=lgssm", "physics.A=[[0.8]]", "physics.B=[[1.0]]", "physics.C=[[1.0]]", "data=csv"]
@@ -65,6 +67,47 @@ def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     assert code == 0, err
     assert "input_saturation" in out
     assert (tmp_path / "trained" / "DONE").exists()
+
+
+def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
+    """The shorter first sequence never saturates, and what fills it up is no sample."""
+    draw, lengths, rows = np.random.default_rng(3), {"calm": 150, "wild": 240}, []
+    for name, samples in lengths.items():
+        u = draw.standard_normal(samples) if name == "wild" else draw.uniform(-0.7, 0.7, samples)
+        x = 0.0
+        for now in u:
+            x = 0.8 * x + min(now, 0.8)
+            rows.append(f"{name},{now},{x + 0.02 * draw.standard_normal()}")
+    (tmp_path / "two.csv").write_text("\n".join(["sequence,u,y", *rows]))
+    pair = [f"data.train={tmp_path / 'two.csv'}", f"data.validation={tmp_path / 'two.csv'}", *files(tmp_path)[1:]]
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        setup = checked(plain(compose("discover", [*LINEAR, *pair, *SHORT])), lambda line: None)
+    said = discovery_json(discover(setup, lambda line: None), setup, command="")
+    (effect,) = said["effects"]
+    above = sum(float(row.split(",")[1]) > 0.8 for row in rows)
+    assert effect["name"] == "input_saturation"
+    assert effect["sequence"] == 2
+    assert effect["intervals_s"]
+    assert effect["active_fraction"] == pytest.approx(above / len(rows), abs=0.01)
+    assert all(row["share_of_samples"] <= 1.0 for row in said["disagreement"])
+
+
+@pytest.mark.parametrize("layout", ["many short sequences", "every second sample measured"])
+def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
+    short, draw, rows = layout.startswith("many"), np.random.default_rng(4), []
+    for sequence in range(40 if short else 1):
+        x = 0.0
+        for t, now in enumerate(draw.standard_normal(30 if short else 600)):
+            x = 0.8 * x + min(now, 0.8)
+            rows.append(f"{sequence},{now},{x + 0.02 * draw.standard_normal()},{int(short or t % 2 == 0)}")
+    (tmp_path / "train.csv").write_text("\n".join(["sequence,u,y,mask", *rows]))
+    pair = [f"data.train={tmp_path / 'train.csv'}", f"data.validation={tmp_path / 'train.csv'}", *files(tmp_path)[1:]]
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        setup = checked(plain(compose("discover", [*LINEAR, *pair, *SHORT])), lambda line: None)
+    found = discover(setup, lambda line: None)
+    assert found.judged.verdict == "effect_found"
+    assert found.found.final.estimate.active == ("input_saturation",)
+    assert found.found.noise**0.5 * np.std(setup.estimation.y[setup.estimation.mask]) == pytest.approx(0.02, rel=0.15)
 
 
 def refused(*arguments: str, cwd: Path, script: str) -> str:

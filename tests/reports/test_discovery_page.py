@@ -236,6 +236,17 @@ def test_reproducing_names_the_commit_and_the_configuration(tmp_path):
     assert '"jax": "0.10.2"' in text
 
 
+def test_intervals_name_their_sequence_where_it_is_not_the_first():
+    spans = [[0.0, 8.0], [12.0, 20.0]]
+    assert (
+        summary.intervals({"intervals_s": spans, "sequence": 1})
+        == summary.intervals({"intervals_s": spans})
+        == "0 to 8 s, 12 to 20 s"
+    )
+    assert summary.intervals({"intervals_s": spans[:1], "sequence": 3}) == "0 to 8 s of sequence 3"
+    assert summary.intervals({"intervals_s": [], "sequence": 3}) == ""
+
+
 @pytest.mark.parametrize("discovery", [TANK[0], ARM[0], bare_discovery()], ids=["tank", "arm", "bare"])
 def test_the_summary_fits_eighty_columns_and_says_the_verdict_and_the_gap(discovery):
     said = printed(discovery)
