@@ -3,7 +3,7 @@
     single   one effect                    double    two effects on different parts of the plant
     none     parameters wrong, no effect   removed   one effect whose names the catalogue is deprived of: unknown
 
-A plan is cheap and says everything; `build` makes its data. `suite` builds one case after the other.
+A plan is cheap and says everything; `build` makes its data.
 """
 
 from collections.abc import Iterator, Sequence
@@ -27,11 +27,6 @@ class Plan(NamedTuple):
     truth: tuple[str, ...]
     removed: tuple[str, ...]
     noise: float
-
-
-def suite(system: str, count: int, seed: int, kinds: Sequence[str] = KINDS) -> Iterator[Case]:
-    """Cases of `plans`, each built when it is asked for."""
-    return map(build, plans(system, count, seed, kinds))
 
 
 def build(plan: Plan) -> Case:

@@ -66,7 +66,9 @@ def stretches(problem: Problem, record: Record, length: int, *, folds: int, at_r
     filtered = smoothed(y, problem.physics.dt)
     begins = np.arange(0, time - length + 1, length)
     state, error = _states(problem, filtered)
-    before = np.concatenate([2.0 * state[:, :1] - state[:, 1:2], state[:, :-1]], 1)  # the state that u_t meets
+    before = state  # the state that u_t meets
+    if problem.physics.reads == "after_step":
+        before = np.concatenate([2.0 * state[:, :1] - state[:, 1:2], state[:, :-1]], 1)
 
     def cut(a: np.ndarray) -> np.ndarray:
         return np.concatenate([a[:, t : t + length] for t in begins], 1).reshape(-1, length, a.shape[-1])

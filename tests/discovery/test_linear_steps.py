@@ -1,11 +1,15 @@
 """Bounded linear steps against scipy, stretches laid end to end, and the local polynomial against a known motion."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
 from pgrssnn_jax.discovery.linear import _within, _without_starts
-from pgrssnn_jax.discovery.stretches import end_to_end, smoothed
+from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.discovery.stretches import end_to_end, smoothed, stretches
+from pgrssnn_jax.physics.base import Signal, discrete
+from pgrssnn_jax.records import Channel, RecordInfo, record
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -85,3 +89,23 @@ def test_a_local_polynomial_finds_position_rate_and_noise():
     assert np.sqrt(np.mean(off**2)) == pytest.approx(found.value_error[0], rel=0.4)
     rate = found.rate[0, inside, 0] - 0.5 * np.cos(0.5 * time[inside])
     assert np.sqrt(np.mean(rate**2)) == pytest.approx(found.rate_error[0], rel=0.4)
+
+
+@pytest.mark.parametrize("reads", ["after_step", "before_step"])
+def test_a_stretch_starts_in_the_state_that_its_first_input_meets(reads):
+    """A cart under a constant push, sampled before or after it acts."""
+    dt, push, time = 0.1, 0.5, 60
+
+    def step(p, x, u):
+        return jnp.stack([x[0] + dt * x[1] + 0.5 * dt**2 * u[0], x[1] + dt * u[0]])
+
+    states = (Signal("position", "m", like="place"), Signal("speed", "m/s", rate_of="place"))
+    cart = discrete("cart", step, lambda p, x, u: x[:1], {"mass": 1.0}, states=states, inputs=(Signal("push", "N"),),
+                    outputs=(Signal("place", "m"),), dt=dt, reads=reads)  # fmt: skip
+    t = dt * (np.arange(time) + (reads == "after_step"))
+    y = (1.0 + 0.3 * t + 0.5 * push * t**2)[:, None]
+    info = RecordInfo((Channel("push", "N"),), (Channel("place", "m"),), dt, "simulated")
+    found = stretches(build_problem(cart, ()), record(np.full((time, 1), push), y, info), 20, folds=2, at_rest=False)
+    begins = dt * np.arange(0, time, 20)
+    np.testing.assert_allclose(found.start[:, 0], 1.0 + 0.3 * begins + 0.5 * push * begins**2, atol=6e-3)
+    np.testing.assert_allclose(found.start[:, 1], 0.3 + push * begins, atol=1e-3)
