@@ -22,7 +22,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, chance, size_and_noise
 
 _CHUNK = 24  # numbers in one linearisation
-_DRAWS = 200  # of the null, at most
+DRAWS = 200  # of the null, at most
 _FINALISTS = 4  # candidates that are fitted properly
 _BEYOND_REACH = 1.5  # times the best cost that was reached: candidates whose promise is above it are not fitted
 _HOPELESS = 0.2  # p-value of what its linear step promises, above which a candidate is not fitted
@@ -69,7 +69,7 @@ def look_linear(
     own = np.concatenate([problem.of(name) for name in (None, *base.active)])
     own = own[np.isfinite(base.theta[own])]
     reference = known or left_out(problem, signals, base, own)
-    noise = surrogates(reference.estimate.error, min(rules.draws, _DRAWS), rng).astype(np.float32)
+    noise = surrogates(reference.estimate.error, min(rules.draws, DRAWS), rng).astype(np.float32)
     cost, promises, falls = _promised(problem, signals, base, own, without, noise)
     hopeful = [c for c in promises[:_FINALISTS] if chance(falls, c.gain) <= _HOPELESS]
     found = [c for c in promises if c.name not in {h.name for h in hopeful}]

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.search import Rules
 from pgrssnn_jax.discovery.stretches import check_stretches
 from pgrssnn_jax.effects.catalogue import catalogue
@@ -58,11 +59,6 @@ class DiscoverySettings:
         for name, value in (("p_value", self.p_value), ("share", self.share)):
             if not 0.0 < value < 1.0:
                 raise ValueError(f"discovery.{name}: expected a number between 0 and 1, found {value:g}")
-        if self.p_value * (1 + self.draws) < 1.0:
-            raise ValueError(
-                f"discovery.p_value: expected at least 1 / {1 + self.draws}, the least that discovery.draws="
-                f"{self.draws} can tell, found {self.p_value:g}"
-            )
         if self.tolerance is not None and not self.tolerance > 0.0:
             raise ValueError(f"discovery.tolerance: expected null or a number above 0, found {self.tolerance:g}")
 
@@ -96,6 +92,8 @@ def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     """config: the resolved configuration as plain data. Raises `ValueError` with one sentence."""
     settings = call_with(DiscoverySettings, config["discovery"], "discovery")
     group = {name: _replaced(settings.replace.get(name, value), value) for name, value in config["physics"].items()}
+    if config["resume"] is not None:
+        raise ValueError(f"resume: expected null, a discovery is started again, found {config['resume']!r}")
     if group.get("effects") is not None:
         raise ValueError(f"physics.effects: expected null, what is missing is to be found, found {group['effects']!r}")
     group["effects"] = None
@@ -173,6 +171,12 @@ def _check(physics: Physics, estimation: Record, test: Record, settings: Discove
                     raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
     for length in settings.stretches:
         check_stretches(estimation, length)
+    draws = min(settings.draws, DRAWS) if settings.stretches else settings.draws
+    if settings.p_value * (1 + draws) < 1.0:
+        raise ValueError(
+            f"discovery.p_value: expected at least 1 / {1 + draws}, the least that {draws} draws of the null can tell, "
+            f"found {settings.p_value:g}"
+        )
     time = test.u.shape[1]
     if start is Start.UNKNOWN and time <= settings.n_init:
         raise ValueError(

@@ -167,6 +167,8 @@ def hole(u, y):
         ),
         (240, nothing, ["discovery.n_init=120"], "discovery.n_init: expected fewer than the 120 samples"),
         (240, nothing, ["discovery.p_value=0.005"], "discovery.p_value: expected at least 1 / 100"),
+        (240, nothing, ["discovery.p_value=0.004", "discovery.draws=2000", "discovery.stretches=[60]"], "1 / 201"),
+        (240, nothing, ["resume=run"], "resume: expected null, .* found 'run'"),
         (240, nothing, ["physics.effects=found.json"], "physics.effects: expected null, .* found 'found.json'"),
         (240, nothing, ["physics.A=[[50.0]]"], "physics 'lgssm': expected a free run that stays finite"),
         (
