@@ -24,7 +24,8 @@ def plan_network(setup: Setup, effects: str | None) -> Plan:
     """Training on the record that was examined; effects: the file of what was found, None for the physics as given.
     Raises `ValueError` for settings of the training that are none."""
     config, given = setup.config, setup.config["physics"]
-    kept = {name: given[name] for name in OF_TRAINING if name in given}
+    # gradients as in training; the backend as in the discovery, because another may not know the effects
+    kept = {name: given[name] for name in OF_TRAINING if name in given and name != "backend"}
     settings = {
         **{key: value for key, value in config.items() if key != "discovery"},
         "physics": {**setup.group, **kept, "effects": effects},
