@@ -24,14 +24,15 @@ Where = Literal["input", "measurement"]
 
 
 def any_system_effects(physics: Physics) -> tuple[Effect, ...]:
-    """The effects of this file for the signals of a physics; those of the inputs first, memory before the rest."""
+    """The effects of this file for the signals of a physics; those of the inputs first. What is added later acts on an
+    input earlier: it is late, then follows with a lag, and that is what a range or a dead zone bends, as in a pump."""
     return (
-        input_delay(physics),
-        input_lag(physics),
         input_offset(physics),
         input_gain(physics),
         input_dead_zone(physics),
         input_saturation(physics),
+        input_lag(physics),
+        input_delay(physics),
         sensor_offset(physics),
         sensor_gain(physics),
         sensor_saturation(physics),
