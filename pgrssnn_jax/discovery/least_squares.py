@@ -10,9 +10,8 @@ damping: Marquardt 1963; of the elimination: Björck, Numerical Methods for Leas
 Ours rather than a library's: lanes are frozen one by one, and the normal equations know which unknowns are local.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,12 +19,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.compilation import quick_jit
+from pgrssnn_jax.discovery.free_runs import by_start, free_run, time_first, with_derivatives
 from pgrssnn_jax.discovery.problem import Code, Problem, Signals
 from pgrssnn_jax.members import over_devices
 from pgrssnn_jax.records import Array
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice
+_FEW = 4  # lanes per device: fewer take as long however they are compiled
 _TINY = 1e-13  # of a scaled diagonal
 _GIVE_UP = 1e6  # damping at which no step is left
 _PRIOR = 1e-7  # of one squared scaled error per squared relative change: decides only what the data do not
@@ -93,64 +94,6 @@ def _limits(problem: Problem) -> Limits:
     return Limits(problem.low, problem.high, problem.size, problem.theta, problem.precision)
 
 
-class _Batched(NamedTuple):
-    """The physics for arrays `[..., seq, lane]`: θ `[p, lane]`, x `[x, seq, lane]`, u `[u, seq]`."""
-
-    step: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
-    measure: Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
-
-
-def _batched(code: Code) -> _Batched:
-    def over(function: Callable[..., jax.Array]) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
-        def one(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
-            return function(code.unravel(theta), x, u)
-
-        by_lane = jax.vmap(one, (-1, -1, None), -1)
-        return jax.vmap(by_lane, (None, 1, 1), 1)
-
-    return _Batched(over(code.full.step), over(code.full.measure))
-
-
-def _free_run(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """y `[time, y, seq, lane]` and x `[time, x, seq, lane]` from u `[time, u, seq]`."""
-    batched, after = _batched(code), code.full.reads == "after_step"
-
-    def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        new = batched.step(theta, x, u_t)
-        return new, (batched.measure(theta, new if after else x, u_t), new)
-
-    return jax.lax.scan(body, x0, u)[1]
-
-
-def _with_derivatives(
-    code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array, free: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """y `[time, y, seq, lane]` and dy `[time, y, seq, lane, k + s]`; free `[lane, k]`; s: unknowns of the start."""
-    batched, after = _batched(code), code.full.reads == "after_step"
-    n_x, seq, lanes = x0.shape
-    k, by_start = free.shape[1], _by_start(code)
-    by_theta = jnp.where(free.T[None] == jnp.arange(len(theta))[:, None, None], 1.0, 0.0)  # [p, k, lane]
-    by_theta = jnp.swapaxes(by_theta, 1, 2)
-    by_theta = jnp.concatenate([by_theta, jnp.zeros((len(theta), lanes, by_start.shape[1]))], -1)
-    dx0 = jnp.concatenate([jnp.zeros((n_x, k)), by_start], 1)[:, None, None, :]
-    dx0 = jnp.broadcast_to(dx0, (n_x, seq, lanes, dx0.shape[-1]))
-
-    def body(carry: tuple[jax.Array, jax.Array], u_t: jax.Array) -> tuple[Any, tuple[jax.Array, jax.Array]]:
-        x, dx = carry
-        new, push = jax.linearize(lambda t, x: batched.step(t, x, u_t), theta, x)
-        dnew = jax.vmap(push, (-1, -1), -1)(by_theta, dx)
-        read, dread = (new, dnew) if after else (x, dx)
-        y, push = jax.linearize(lambda t, x: batched.measure(t, x, u_t), theta, read)
-        return (new, dnew), (y, jax.vmap(push, (-1, -1), -1)(by_theta, dread))
-
-    return jax.lax.scan(body, (x0, dx0), u)[1]
-
-
-def _by_start(code: Code) -> np.ndarray:
-    """Which state `[x]` each unknown of the start `[s]` is, as a matrix of zeros and ones."""
-    return np.eye(len(code.free_start))[:, code.free_start]
-
-
 def _solve(a: jax.Array, b: jax.Array) -> jax.Array:
     """a⁻¹ b for symmetric positive definite a `[..., n, n]` and b `[..., n, m]`, by elimination without pivots.
 
@@ -176,25 +119,25 @@ def _eye(like: jax.Array) -> jax.Array:
     return jnp.eye(n, dtype=like.dtype).reshape((1,) * (like.ndim - 2) + (n, n))
 
 
-def _time_first(a: Array) -> jax.Array:
-    """`[seq, time, channel]` as `[time, channel, seq]`."""
-    return jnp.transpose(jnp.asarray(a), (1, 2, 0))
-
-
 def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
     return jnp.asarray(lanes.theta).T, jnp.transpose(jnp.asarray(lanes.x0), (2, 1, 0)), jnp.asarray(lanes.free)
 
 
+def _worth_it(code: Code, devices: int, limits: Limits, patience: Patience, lanes: Lanes, *_: object) -> bool:
+    """Will a program of so many lanes, written out in numbers, make up for the time that it takes to compile well?"""
+    return code.written_out is not None and len(lanes.theta) > _FEW * devices
+
+
 @partial(jax.jit, static_argnums=0)
 def _simulate(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
-    y, x = _free_run(code, _time_first(u), theta.T, jnp.transpose(x0, (2, 1, 0)))
+    y, x = free_run(code, time_first(u), theta.T, jnp.transpose(x0, (2, 1, 0)))
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(x, (3, 2, 0, 1))
 
 
 @quick_jit(static_argnums=0)
 def _sensitivity(code: Code, lanes: Lanes, signals: Signals) -> tuple[jax.Array, jax.Array]:
-    y, dy = _with_derivatives(code, _time_first(signals.u), *_lanes_last(lanes))
-    return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(dy, (3, 2, 0, 1, 4))
+    y, dy = with_derivatives(code, time_first(signals.u), *_lanes_last(lanes))
+    return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(dy, (4, 3, 0, 1, 2))
 
 
 class _State(NamedTuple):
@@ -210,7 +153,7 @@ class _State(NamedTuple):
     taken: jax.Array
 
 
-@quick_jit(static_argnums=(0, 1))
+@quick_jit(_worth_it, static_argnums=(0, 1))
 def _fit(
     code: Code, devices: int, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals
 ) -> tuple[jax.Array, ...]:
@@ -221,7 +164,7 @@ def _fit(
 
 
 def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
-    u, y, w = (_time_first(a) for a in signals[:3])
+    u, y, w = (time_first(a) for a in signals[:3])
     theta0, x0, free = _lanes_last(lanes)
     counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)[None, None]  # [seq, time, lane]
     weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
@@ -239,7 +182,7 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         return jnp.where(weight > 0, weight * (y[..., None] - found), 0.0)
 
     def tried(theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return costs_of(theta, x0, error_of(_free_run(code, u, theta, x0)[0]))
+        return costs_of(theta, x0, error_of(free_run(code, u, theta, x0)[0]))
 
     def costs_of(theta: jax.Array, x0: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Of the numbers `[lane]`, and of every sequence with its start `[seq, lane]`."""
@@ -253,14 +196,14 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         )
 
     def step(state: _State) -> _State:
-        found, dy = _with_derivatives(code, u, state.theta, state.x0, free)
+        found, dy = with_derivatives(code, u, state.theta, state.x0, free)
         error = error_of(found)
         own, by_sequence = costs_of(state.theta, state.x0, error)
         now = jnp.where(jnp.isfinite(own), own + by_sequence.sum(0), jnp.inf)
-        columns = jnp.where(weight[..., None] > 0, weight[..., None] * dy, 0.0)
+        columns = jnp.where(weight[:, :, None] > 0, weight[:, :, None] * dy, 0.0)
         columns = jnp.where(jnp.isfinite(columns), columns, 0.0)
-        normal = jnp.einsum("tysld,tysle->slde", columns, columns)
-        pull = jnp.einsum("tysld,tysl->sld", columns, error)
+        normal = jnp.einsum("tydsl,tyesl->slde", columns, columns)
+        pull = jnp.einsum("tydsl,tysl->sld", columns, error)
         trial_theta, trial_x0 = _trials(state, normal, pull)
         costs, trial_x0, moved = _tried(state, trial_theta, trial_x0)
         best = jnp.argmin(costs, 0)
@@ -310,8 +253,8 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         back = near * (jnp.take_along_axis(anchor, place, 0) - now).T
         back = back + jnp.where(held > 0, held * (given[place, 0] - now).T, 0.0)
         back = jnp.where(used & jnp.isfinite(back), back, 0.0)
-        shift = jnp.stack(
-            [_step(normal, pull, moves, near + held, back, state, d * state.damping) for d in dampings]
+        shift = jax.vmap(lambda d: _step(normal, pull, moves, near + held, back, state, d * state.damping))(
+            jnp.asarray(dampings)
         )  # [trial, lane, k + seq s]
         delta, delta_x = shift[..., :k], shift[..., k:]
         moved = jnp.clip(now.T[None] + delta, lowest.T[None], highest.T[None])  # [trial, lane, k]
@@ -319,9 +262,9 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         theta = jax.vmap(lambda new: state.theta.T.at[lane, jnp.where(used, free, len(low))].set(new, mode="drop").T)(
             moved
         )
-        by_start = _by_start(code)
-        delta_x = delta_x.reshape(len(dampings), free.shape[0], x0.shape[1], by_start.shape[1])
-        return theta, state.x0[None] + jnp.einsum("xs,dlqs->dxql", by_start, delta_x)
+        starts = by_start(code)
+        delta_x = delta_x.reshape(len(dampings), free.shape[0], x0.shape[1], starts.shape[1])
+        return theta, state.x0[None] + jnp.einsum("xs,dlqs->dxql", starts, delta_x)
 
     def _step(
         normal: jax.Array,
@@ -336,12 +279,12 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         k = free.shape[1]
         mask = jnp.where(moves, 1.0, 0.0)
         local = normal[..., k:, k:]
-        by_start = jnp.asarray(_by_start(code))
-        held = _PRIOR * n + (by_start.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
+        starts = jnp.asarray(by_start(code))
+        held = _PRIOR * n + (starts.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
         damped = (damping[None] * state.held)[..., None, None]
         local = local + jnp.where(_eye(local) > 0, damped * local + held, 0.0)
         back_x = _PRIOR * n * (anchor_x - state.x0) + precision * (guessed - state.x0)
-        back_x = jnp.einsum("xs,xql->qls", by_start, back_x)
+        back_x = jnp.einsum("xs,xql->qls", starts, back_x)
         cross = normal[..., :k, k:] * mask[None, :, :, None]
         pull_x = pull[..., k:] + back_x
         solved = _solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))

@@ -15,6 +15,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
+from pgrssnn_jax.discovery.entries import Push, written_out
 from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.records import Record
@@ -36,11 +37,13 @@ class Slot(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Code:
     """What a compiled program depends on beside its arrays: the physics with every effect of the catalogue, θ as the
-    tree of its params, and which states' initial values are unknown."""
+    tree of its params, which states' initial values are unknown, and step and measurement written out in numbers, where
+    they can be."""
 
     full: Physics
     unravel: Callable[[jax.Array], Any]
     free_start: Bool[np.ndarray, " x"]
+    written_out: tuple[Push, Push] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +146,7 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
     theta = np.asarray(theta, np.float64)
     return Problem(
         physics,
-        Code(full, unravel, free),
+        Code(full, unravel, free, _written_out(full, unravel, len(theta))),
         tuple(effects),
         tuple(slots),
         theta,
@@ -152,6 +155,19 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
         _size(theta),
         np.zeros(len(theta)),
     )
+
+
+def _written_out(full: Physics, unravel: Callable[[jax.Array], Any], p: int) -> tuple[Push, Push] | None:
+    """Step and measurement as operations on the numbers of θ, x and u."""
+
+    def on_vectors(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+        return lambda theta, x, u: function(unravel(theta), x, u)
+
+    sizes = (p, len(full.states), len(full.inputs))
+    with jax.enable_x64(True):
+        step = written_out(on_vectors(full.step), sizes, constant=(2,))
+        measure = step and written_out(on_vectors(full.measure), sizes, constant=(2,))
+    return (step, measure) if step and measure else None
 
 
 def _bounds(params: Any, slots: tuple[Slot, ...]) -> tuple[np.ndarray, np.ndarray]:
