@@ -10,7 +10,7 @@ import numpy as np
 from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.search import Rules
 from pgrssnn_jax.discovery.stretches import check_stretches
-from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.effects.catalogue import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
 from pgrssnn_jax.records import Record, Splits, join, take
@@ -138,7 +138,7 @@ def _fixed(names: Sequence[str], physics: Physics) -> list[str]:
 def _stretches(wanted: list | str, physics: Physics, estimation: Record) -> list[int]:
     """auto: an arm's free run over a whole record has no usable gradient, other systems' has."""
     if wanted == "auto":
-        return [min(n, estimation.u.shape[1]) for n in _ARM_STRETCHES] if physics.name == "arm" else []
+        return [min(n, estimation.u.shape[1]) for n in _ARM_STRETCHES] if system_of(physics) == "arm" else []
     if not isinstance(wanted, list) or not all(type(n) is int and n >= 2 for n in wanted):
         raise ValueError(f"discovery.stretches: expected auto or a list of lengths in samples, found {wanted!r}")
     return wanted

@@ -1,4 +1,4 @@
-"""Which effects a physics may lack, by its name, in the order in which they are added to it."""
+"""Which effects a physics may lack, by the system that it is, in the order in which they are added to it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,6 +12,7 @@ from pgrssnn_jax.effects.lgssm import lgssm_effects
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.base import Physics
 
+_PARAMETERS = {"arm": {"G", "B", "Tc"}, "lgssm": {"A", "B", "C"}, "tanks": {"k1", "k2", "k3", "k4", "k5"}}
 _SAID_OTHERWISE = {"tanks": ("input_saturation", "input_dead_zone")}  # a pump has names of its own for these
 
 
@@ -20,9 +21,10 @@ def catalogue(physics: Physics, without: Sequence[str] = ()) -> tuple[Effect, ..
 
     Raises `ValueError` when `without` names an effect that this physics does not have.
     """
+    system = system_of(physics)
     # an arm's own effects say per joint what those of any system would
-    found = arm_effects(physics) if physics.name == "arm" else (*_own(physics), *any_system_effects(physics))
-    found = tuple(e for e in found if e.name not in _SAID_OTHERWISE.get(physics.name, ()))
+    found = arm_effects(physics) if system == "arm" else (*_own(physics, system), *any_system_effects(physics))
+    found = tuple(e for e in found if e.name not in _SAID_OTHERWISE.get(system, ()))
     known = [effect.name for effect in found]
     for name in without:
         if name not in known:
@@ -30,10 +32,15 @@ def catalogue(physics: Physics, without: Sequence[str] = ()) -> tuple[Effect, ..
     return tuple(effect for effect in found if effect.name not in without)
 
 
-def _own(physics: Physics) -> tuple[Effect, ...]:
-    if physics.name == "tanks":
+def system_of(physics: Physics) -> str:
+    """`arm`, `lgssm` or `tanks` for the library's own systems, `any` for others, whatever they are called."""
+    return physics.name if _PARAMETERS.get(physics.name, {""}) <= set(physics.params) else "any"
+
+
+def _own(physics: Physics, system: str) -> tuple[Effect, ...]:
+    if system == "tanks":
         return tank_effects(physics)
-    if physics.name == "lgssm":
+    if system == "lgssm":
         return lgssm_effects(physics)
     return ()
 

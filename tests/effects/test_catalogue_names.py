@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toys import toy_physics
 
-from pgrssnn_jax.effects.catalogue import add_named, catalogue
+from pgrssnn_jax.effects.catalogue import add_named, catalogue, system_of
 from pgrssnn_jax.physics.arm.arm import arm
 from pgrssnn_jax.physics.lgssm import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -43,6 +43,17 @@ def test_every_system_has_the_names_of_the_design():
 def test_a_pump_has_one_name_for_what_an_input_would_have():
     assert not {"input_saturation", "input_dead_zone"} & set(names(cascaded_tanks()))
     assert not TANKS & set(names(state_space()))
+
+
+@pytest.mark.parametrize("name", ["arm", "lgssm", "tanks", "any"])
+def test_a_name_alone_does_not_make_a_system(name):
+    own = toy_physics()._replace(name=name)
+    assert system_of(own) == "any"
+    assert names(own) == names(toy_physics())
+
+
+def test_the_librarys_systems_are_known():
+    assert [system_of(p) for p in (arm(), state_space(), cascaded_tanks())] == ["arm", "lgssm", "tanks"]
 
 
 @pytest.mark.parametrize("build", [cascaded_tanks, state_space, toy_physics, arm])
