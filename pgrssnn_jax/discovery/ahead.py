@@ -25,7 +25,7 @@ def ahead(tasks: Mapping[str, Callable[[], None]]) -> Iterator[Callable[[str], N
 
 
 def compile_look(problem: Problem, signals: Signals, settings: Settings) -> None:
-    """The programs of one look at a catalogue (`search.look_at`), by fits that take no step."""
+    """The programs of one look at a catalogue (`look.look_at`), by fits that take no step."""
     with jax.enable_x64(True):  # holds for one thread
         guess = Guess((), problem.theta, signals.start)
         fit_all(problem, signals, [guess] * settings.lanes, settings, steps=0)

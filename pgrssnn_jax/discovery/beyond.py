@@ -15,9 +15,10 @@ from pgrssnn_jax.discovery.estimate import Settings, Validated
 from pgrssnn_jax.discovery.follows import Follows, follows
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.linear import look_linear
+from pgrssnn_jax.discovery.look import Rules, Stage, look_at
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.search import Found, Rules, Stage, look_at
+from pgrssnn_jax.discovery.search import Found
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
 from pgrssnn_jax.discovery.unknown import Line, in_flexible, spectral_line
 from pgrssnn_jax.records import Record

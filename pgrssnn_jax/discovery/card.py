@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from pgrssnn_jax.discovery.locate import box, clear, intervals, signal_map
+from pgrssnn_jax.discovery.look import Candidate, Stage
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.search import Candidate, Stage
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict

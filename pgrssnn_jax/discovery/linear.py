@@ -17,9 +17,9 @@ from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all, reach_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage, chance, size_and_noise
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, chance, size_and_noise
 
 _CHUNK = 24  # numbers in one linearisation
 DRAWS = 200  # of the null, at most
@@ -54,7 +54,7 @@ def look_linear(
     *,
     whole: Signals,
 ) -> Stage:
-    """As `search.look_at`: candidates are ranked by one linear step each, and the best are then fitted properly.
+    """As `look.look_at`: candidates are ranked by one linear step each, and the best are then fitted properly.
 
     cuts: stretches from short to long, one more for every effect that is there; whole: sequences uncut, with their
     starts, for the free run that has the last word.

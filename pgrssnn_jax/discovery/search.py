@@ -9,110 +9,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float
+from pgrssnn_jax.discovery.estimate import Guess, Validated, block_sums
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage, count_of_numbers
+from pgrssnn_jax.discovery.problem import Problem
 
-from pgrssnn_jax.discovery.estimate import (
-    Guess,
-    Settings,
-    Validated,
-    block_sums,
-    cross_validate,
-    fit_all,
-    reach_of,
-)
-from pgrssnn_jax.discovery.noise import noise_floor
-from pgrssnn_jax.discovery.null import null_law, what_is_added
-from pgrssnn_jax.discovery.problem import Problem, Signals
-
-_ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
 _PART = 0.25  # of the share that an effect must close, where no draw of the null gains as much
-_ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
 _MANY = 3  # effects: fewer from another beginning may do as well
 _AS_GOOD = 0.005  # of the gap: how much worse a simpler effect may be than one that contains it
-
-
-class Rules(NamedTuple):
-    """When an effect counts.
-
-    p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
-    that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
-    found; draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
-    `above` times the energy of the noise is left; far: times that energy where errors are surely no noise.
-    """
-
-    p_value: float = 0.01
-    share: float = 0.02
-    least: float = 0.02
-    rest: float = 0.5
-    visible: float = 0.1
-    finalists: int = 6
-    most: int = 4
-    draws: int = 2000
-    open: float = 0.05
-    above: float = 1.25
-    beam: int = 3
-    far: float = 2.0
-
-
-class Candidate(NamedTuple):
-    """gain: relative fall of the error energy on all of the record; validated: fitted to it and left out in blocks;
-    free_run: error of the free run over whole sequences, where fits see stretches of them."""
-
-    name: str
-    gain: float
-    validated: Validated | None
-    guess: Guess
-    free_run: float | None = None
-
-    @property
-    def cost(self) -> float:
-        """Error energy in blocks left out; infinite for those that were not cross-validated."""
-        return self.validated.cost if self.validated else float("inf")
-
-
-class Stage(NamedTuple):
-    """One look at the whole catalogue beside `base`: candidates from best to worst, law of the best gain by luck;
-    visible: energy by which each effect at its starts moves the free run, and what of it nothing else can take up;
-    size: measured samples that count; noise: its variance, in weighted errors."""
-
-    base: Validated
-    candidates: tuple[Candidate, ...]
-    null: Float[np.ndarray, " draw"]
-    visible: dict[str, tuple[float, float]]
-    size: int
-    noise: float
-    free_run: float | None = None
-
-    def p_value(self, candidate: Candidate) -> float:
-        return chance(self.null, candidate.gain)
-
-    def redundant(self, name: str) -> bool:
-        """Are there other values of the free parameters that do exactly the same?"""
-        moved, left = self.visible.get(name, (0.0, 0.0))
-        return left < _ROUNDING * moved
-
-    def rms(self, candidate: Candidate | None = None) -> float:
-        """Weighted error of the base, or of a candidate: of free runs where fits saw stretches, else of samples left
-        out."""
-        chosen = candidate or self
-        if self.free_run is not None:
-            return float("inf") if chosen.free_run is None else chosen.free_run
-        return ((candidate or self.base).cost / self.size) ** 0.5
-
-
-def chance(null: Float[np.ndarray, " draw"], gain: float) -> float:
-    """Part of the draws by luck alone that gain as much."""
-    return float((1 + (null >= gain).sum()) / (1 + len(null)))
-
-
-def size_and_noise(signals: Signals, tried: Sequence[Validated]) -> tuple[int, float]:
-    """Samples that cross-validation counts, and the variance of the noise that the best of some models leaves."""
-    measured = signals.weight > 0
-    size = int((measured & (signals.block >= 0)[..., None]).sum())
-    noise = min(noise_floor(v.estimate.error, signals.weight) for v in tried) / max(1, int(measured.sum()))
-    return max(1, size), noise
 
 
 class Found(NamedTuple):
@@ -140,7 +43,7 @@ def search(
     examine: Callable[[Guess], Stage],
 ) -> Found:
     """From a recalibrated guess without effects to the model that explains the record. examine: a look at the whole
-    catalogue beside a guess (`look_at`, or `linear.look_linear` for stretches)."""
+    catalogue beside a guess (`look.look_at`, or `linear.look_linear` for stretches)."""
     looked: dict[tuple[str, ...], Stage] = {}
 
     def look(base: Guess, *, again: bool = False) -> Stage:
@@ -152,9 +55,8 @@ def search(
         return looked[key]
 
     first = look(start)
-    judge = _Judge(
-        problem, look, partial(look, again=True), first.base.cost, first.noise * first.size, rules, first.free_run
-    )
+    again, floor = partial(look, again=True), first.noise * first.size
+    judge = _Judge(problem, look, again, first.base.cost, floor, rules, first.free_run)
     current = _settled(judge, start)
     reached = look(current).base.cost
     closed = reached**0.5 - judge.floor**0.5 <= rules.open * judge.gap and reached <= rules.above * judge.floor
@@ -210,78 +112,6 @@ def _named(candidates: Sequence[Candidate]) -> str:
     return ", ".join(f"{c.name} {100 * c.gain:.1f} %" for c in candidates)
 
 
-def look_at(
-    problem: Problem,
-    signals: Signals,
-    base: Guess | Validated,
-    settings: Settings,
-    rules: Rules,
-    rng: np.random.Generator,
-    without: Sequence[str],
-) -> Stage:
-    """base: a guess is fitted first. Every effect beside it is fitted from every start, the best to the end."""
-    if isinstance(base, Validated):
-        known, cost = base, base.estimate.cost + problem.penalty(base.estimate.theta)
-        base = base.guess
-    else:
-        known, ((base, cost),) = None, fit_all(problem, signals, [base], settings)
-    reach, own = reach_of(problem, signals, base), problem.of(None)
-    guesses: list[Guess] = []
-    for effect in problem.effects:
-        if effect.name in (*base.active, *without):
-            continue
-        for numbers in effect.starts(reach):
-            theta = problem.put(base.theta, effect.name, numbers)
-            guesses.append(Guess((*base.active, effect.name), theta, base.x0))
-    if 2 * len(guesses) + 2 <= settings.lanes:  # the same from the physics as given: the refit may have gone astray
-        guesses += [g._replace(theta=_with(g.theta, own, problem.theta[own])) for g in guesses]
-    fresh = base._replace(x0=signals.start)
-    nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
-    screened = fit_all(problem, signals, [*guesses, fresh, nominal], settings, steps=settings.screening)
-    *fitted, (afresh, low), (as_given, lower) = screened
-    if min(low, lower) < (1.0 - _ASTRAY) * cost:  # an effect taken out again has let the start or the parameters go
-        better = afresh if low < lower else as_given
-        return look_at(problem, signals, better, settings, rules, rng, without)
-    ranked = sorted(_best_of_each(problem, fitted, rules).items(), key=lambda item: item[1][1])
-    finalists = [guess for _, (guess, _) in ranked[: rules.finalists]]
-    if known is None:
-        (known, cost), *validated = cross_validate(problem, signals, [base, *finalists], settings)
-    else:
-        validated = cross_validate(problem, signals, finalists, settings)
-    candidates = [Candidate(v.guess.active[-1], 1.0 - reached / cost, v, v.guess) for v, reached in validated]
-    candidates += [Candidate(name, 1.0 - low / cost, None, guess) for name, (guess, low) in ranked[rules.finalists :]]
-    candidates.sort(key=lambda c: (c.cost, -c.gain))
-    added = what_is_added(problem, signals, known.estimate, guesses, settings)
-    law = null_law(known.estimate, signals.weight, added, rules.draws, rng)
-    visible: dict[str, tuple[float, float]] = {}
-    for guess, one in zip(guesses, added, strict=True):
-        seen = visible.get(guess.active[-1], (0.0, 0.0))
-        visible[guess.active[-1]] = (max(seen[0], one.moved), max(seen[1], one.left))
-    return Stage(known, tuple(candidates), law, visible, *size_and_noise(signals, [known, *(v for v, _ in validated)]))
-
-
-def _best_of_each(
-    problem: Problem, fitted: Sequence[tuple[Guess, float]], rules: Rules
-) -> dict[str, tuple[Guess, float]]:
-    """The best fit of every effect; one with fewer numbers (an end of a range that is not there) where another brings
-    no visible fall of the error energy, because a superfluous number stands in for what is still to be found."""
-    best: dict[str, tuple[Guess, float]] = {}
-    for guess, cost in sorted(fitted, key=lambda found: _count(problem, found[0])):
-        name = guess.active[-1]
-        if not np.isfinite(cost):
-            continue
-        now = best.get(name)
-        more = now is not None and _count(problem, guess) > _count(problem, now[0])
-        if now is None or cost < (1.0 - rules.visible * more) * now[1]:
-            best[name] = (guess, cost)
-    return best
-
-
-def _count(problem: Problem, guess: Guess) -> int:
-    """Numbers of the effect that came in last; a limit at infinity is none."""
-    return int(np.isfinite(guess.theta[problem.of(guess.active[-1])]).sum())
-
-
 def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     """The candidate that enters: of those that matter and beat the null the best in blocks left out, or a simpler one
     that it contains and that is as good, or one with fewer numbers that is within a standard error of it."""
@@ -291,8 +121,8 @@ def _chosen(judge: _Judge, stage: Stage) -> Candidate | None:
     best = passing[0]
     as_good = [c for c in passing if c.cost**0.5 - best.cost**0.5 <= _AS_GOOD * (judge.gap + best.cost**0.5)]
     simpler = [c for c in as_good if c.name in judge.problem.effect(best.name).simpler]
-    fewer = _count(judge.problem, best.guess)
-    leaner = [c for c in as_good if _count(judge.problem, c.guess) < fewer and _within_one_error(c, best)]
+    fewer = count_of_numbers(judge.problem, best.guess)
+    leaner = [c for c in as_good if count_of_numbers(judge.problem, c.guess) < fewer and _within_one_error(c, best)]
     return next(iter((*simpler, *leaner)), best)
 
 
@@ -377,12 +207,6 @@ def _knowing(stage: Stage, name: str, beside: Stage) -> Stage:
     known = Candidate(name, gain, fitted, fitted.guess, beside.free_run)
     others = [c for c in stage.candidates if c.name != name]
     return stage._replace(candidates=tuple(sorted((known, *others), key=lambda c: (c.cost, -c.gain))))
-
-
-def _with(theta: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    theta = theta.copy()
-    theta[places] = values
-    return theta
 
 
 def _without(problem: Problem, guess: Guess, name: str) -> Guess:

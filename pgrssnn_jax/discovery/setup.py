@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgrssnn_jax.discovery.linear import DRAWS
-from pgrssnn_jax.discovery.search import Rules
+from pgrssnn_jax.discovery.look import Rules
 from pgrssnn_jax.discovery.stretches import check_stretches
 from pgrssnn_jax.effects.catalogue import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.estimate import Validated, evaluate
 from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects, nearness
+from pgrssnn_jax.discovery.look import Candidate, Stage
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
-from pgrssnn_jax.discovery.search import Candidate, Stage
 from pgrssnn_jax.physics.base import Physics
 
 _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.discovery.search import Stage
+from pgrssnn_jax.discovery.look import Stage
 from pgrssnn_jax.discovery.workflow import Discovery
 
 _VISIBLE = 10.0  # variances of the noise: energy of Δy that could be seen

@@ -14,8 +14,9 @@ import numpy as np
 
 from pgrssnn_jax.discovery.beyond import Beyond
 from pgrssnn_jax.discovery.estimate import Validated, block_sums
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage
 from pgrssnn_jax.discovery.problem import Problem
-from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
+from pgrssnn_jax.discovery.search import Found
 
 _RESAMPLED = 500
 _SIMILAR = 0.05  # part of an effect's own gain by which another may fall short and still be as good

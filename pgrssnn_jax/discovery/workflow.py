@@ -19,6 +19,7 @@ from pgrssnn_jax.discovery.cuts import cut, in_one
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.linear import left_out, look_linear
+from pgrssnn_jax.discovery.look import look_at
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.prove import (
@@ -30,7 +31,7 @@ from pgrssnn_jax.discovery.prove import (
     prove,
     recalibrated_from_spread,
 )
-from pgrssnn_jax.discovery.search import Found, look_at, search
+from pgrssnn_jax.discovery.search import Found, search
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup, Start
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end

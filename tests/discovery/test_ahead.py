@@ -10,9 +10,9 @@ from discovery.small_cases import choices
 
 from pgrssnn_jax.discovery.ahead import ahead, compile_look
 from pgrssnn_jax.discovery.estimate import Settings
+from pgrssnn_jax.discovery.look import look_at
 from pgrssnn_jax.discovery.problem import build_problem, signals
 from pgrssnn_jax.discovery.prove import fitted_as_given
-from pgrssnn_jax.discovery.search import look_at
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.lgssm import linear
 from pgrssnn_jax.records import Channel, Record, RecordInfo, record

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, search
+from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.lgssm import linear

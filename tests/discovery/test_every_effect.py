@@ -9,9 +9,9 @@ import pytest
 from benchmarks.hidden import pendulum, suite
 from benchmarks.hidden.suite import Plan
 from pgrssnn_jax.discovery.estimate import Settings
+from pgrssnn_jax.discovery.look import Rules, look_at
 from pgrssnn_jax.discovery.problem import Problem, build_problem, signals
 from pgrssnn_jax.discovery.prove import fitted_as_given
-from pgrssnn_jax.discovery.search import Rules, look_at
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.lgssm import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks

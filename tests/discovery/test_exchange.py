@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
-from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, _better_fit, _knowing
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage
+from pgrssnn_jax.discovery.search import _better_fit, _knowing
 
 NUMBERS, SAMPLES = np.zeros(3), 64
 

@@ -5,8 +5,8 @@ import pytest
 from discovery.small_cases import pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Estimate, Validated
+from pgrssnn_jax.discovery.look import size_and_noise
 from pgrssnn_jax.discovery.problem import ALWAYS, Problem, build_problem, signals
-from pgrssnn_jax.discovery.search import size_and_noise
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records import Record
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage, _best_of_each
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.search import Candidate, Rules, Stage, _best_of_each, _chosen, _Judge
+from pgrssnn_jax.discovery.search import _chosen, _Judge
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 

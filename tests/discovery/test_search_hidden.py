@@ -8,9 +8,10 @@ import pytest
 from discovery.small_cases import choices, fine_tanks, pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Settings, fit_all
+from pgrssnn_jax.discovery.look import look_at
 from pgrssnn_jax.discovery.problem import build_problem, signals
 from pgrssnn_jax.discovery.prove import fitted_as_given
-from pgrssnn_jax.discovery.search import look_at, search
+from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import discover_in

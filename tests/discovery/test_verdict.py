@@ -6,8 +6,9 @@ import pytest
 from pgrssnn_jax.discovery.beyond import Beyond
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
 from pgrssnn_jax.discovery.follows import Follows
+from pgrssnn_jax.discovery.look import Candidate, Rules, Stage
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.search import Candidate, Found, Rules, Stage
+from pgrssnn_jax.discovery.search import Found
 from pgrssnn_jax.discovery.verdict import Verdict, judge
 from pgrssnn_jax.effects.catalogue import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
