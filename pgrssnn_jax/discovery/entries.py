@@ -38,16 +38,8 @@ _SCATTERED = {
 }
 
 
-class Push(NamedTuple):
-    """A function of numbers and its derivative along tangents, each `(*numbers) -> numbers` and `(*numbers, *tangents)
-    -> (*numbers, *tangents)`. Numbers are arrays of any shapes that broadcast, tangents with axes before theirs."""
-
-    value: "Program"
-    along: "Program"
-
-
 class Program(NamedTuple):
-    """Operations on scalars, and the constants among them."""
+    """Operations on scalars, and the constants among them. It takes arrays of any shapes that broadcast."""
 
     jaxpr: Jaxpr
     constants: Numbers
@@ -64,16 +56,19 @@ class Program(NamedTuple):
         return [read(v) for v in self.jaxpr.outvars]
 
 
-def written_out(function: Callable[..., jax.Array], sizes: Sequence[int], constant: Sequence[int] = ()) -> Push | None:
-    """`function` of vectors of these sizes, whose result is a vector; None where it has operations that are unknown
-    here (loops, functions with derivatives of their own) or too many. constant: arguments without tangents."""
+def written_out(function: Callable[..., jax.Array], sizes: Sequence[int], moving: int) -> Program | None:
+    """A function of vectors of these sizes, whose result is a vector, with its derivative along tangents of the first
+    `moving` arguments:
+
+        (*numbers, *tangents) -> (*values, *tangents of the values)
+
+    None where it has operations that are unknown here (loops, functions with derivatives of their own) or too many.
+    """
     kind = jax.dtypes.canonicalize_dtype(float)
     whole = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct((n,), kind) for n in sizes))
     if _size(whole.jaxpr) > _MOST:
         return None
-    count = sum(sizes)
-    still = {i for j in constant for i in range(sum(sizes[:j]), sum(sizes[: j + 1]))}
-    moving = [i for i in range(count) if i not in still]
+    count, moved = sum(sizes), sum(sizes[:moving])
 
     def on_numbers(*numbers: jax.Array) -> tuple[jax.Array, ...]:
         rest = iter(numbers)
@@ -82,24 +77,17 @@ def written_out(function: Callable[..., jax.Array], sizes: Sequence[int], consta
         return tuple(jnp.asarray(number, kind) for number in found.numbers)
 
     def along(*both: jax.Array) -> tuple[jax.Array, ...]:
-        numbers = list(both[:count])
+        numbers, tangents = both[:count], both[count:]
+        values, changes = jax.jvp(lambda *first: on_numbers(*first, *numbers[moved:]), numbers[:moved], tangents)
+        return (*values, *changes)
 
-        def of_moving(*moved: jax.Array) -> tuple[jax.Array, ...]:
-            for i, number in zip(moving, moved, strict=True):
-                numbers[i] = number
-            return on_numbers(*numbers)
-
-        values, tangents = jax.jvp(of_moving, tuple(numbers[i] for i in moving), both[count:])
-        return (*values, *tangents)
-
-    scalar = jax.ShapeDtypeStruct((), kind)
     try:
-        programs = [jax.make_jaxpr(f)(*[scalar] * n) for f, n in ((on_numbers, count), (along, count + len(moving)))]
+        program = jax.make_jaxpr(along)(*[jax.ShapeDtypeStruct((), kind)] * (count + moved))
     except _UnknownError:
         return None
-    if any(e.primitive.name not in _EACH for p in programs for e in p.jaxpr.eqns):
+    if any(equation.primitive.name not in _EACH for equation in program.jaxpr.eqns):
         return None
-    return Push(*(Program(p.jaxpr, p.consts) for p in programs))
+    return Program(program.jaxpr, program.consts)
 
 
 class _UnknownError(Exception):

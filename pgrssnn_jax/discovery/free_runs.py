@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.discovery.entries import Push
+from pgrssnn_jax.discovery.entries import Program
 from pgrssnn_jax.discovery.problem import Code
 from pgrssnn_jax.records import Array
 
@@ -48,7 +48,7 @@ def with_derivatives(
         step, measure = (_along_arrays(code, f, theta, dtheta) for f in (code.full.step, code.full.measure))
         begin: tuple[Rows, Rows] = (x0, dx0)
     else:
-        step, measure = (_along_rows(push, theta, dtheta, dx0.shape[1:]) for push in code.written_out)
+        step, measure = (_along_rows(program, theta, dtheta, dx0.shape[1:]) for program in code.written_out)
         begin = (tuple(x0), tuple(dx0))
 
     def body(carry: tuple[Rows, Rows], u_t: jax.Array) -> tuple[tuple[Rows, Rows], tuple[jax.Array, jax.Array]]:
@@ -83,13 +83,13 @@ def _along_arrays(code: Code, function: Function, theta: jax.Array, dtheta: jax.
     return along
 
 
-def _along_rows(push: Push, theta: jax.Array, dtheta: jax.Array, shape: tuple[int, ...]) -> Along:
+def _along_rows(program: Program, theta: jax.Array, dtheta: jax.Array, shape: tuple[int, ...]) -> Along:
     """By operations on numbers: one row of x `[seq, lane]` and of dx `[d, seq, lane]` per state. Rows are carried
     apart: joined in one array, the scan takes four times as long."""
     numbers, tangents = tuple(theta), tuple(dtheta[:, :, None])
 
     def along(x: Rows, dx: Rows, u: jax.Array) -> tuple[Rows, Rows]:
-        found = push.along(*numbers, *x, *u[..., None], *tangents, *dx)
+        found = program(*numbers, *x, *u[..., None], *tangents, *dx)
         half = len(found) // 2
         value, moved = found[:half], found[half:]
         return (

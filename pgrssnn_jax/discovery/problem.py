@@ -15,7 +15,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
-from pgrssnn_jax.discovery.entries import Push, written_out
+from pgrssnn_jax.discovery.entries import Program, written_out
 from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.records import Record
@@ -43,7 +43,7 @@ class Code:
     full: Physics
     unravel: Callable[[jax.Array], Any]
     free_start: Bool[np.ndarray, " x"]
-    written_out: tuple[Push, Push] | None
+    written_out: tuple[Program, Program] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
     )
 
 
-def _written_out(full: Physics, unravel: Callable[[jax.Array], Any], p: int) -> tuple[Push, Push] | None:
+def _written_out(full: Physics, unravel: Callable[[jax.Array], Any], p: int) -> tuple[Program, Program] | None:
     """Step and measurement as operations on the numbers of θ, x and u."""
 
     def on_vectors(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
@@ -165,8 +165,8 @@ def _written_out(full: Physics, unravel: Callable[[jax.Array], Any], p: int) -> 
 
     sizes = (p, len(full.states), len(full.inputs))
     with jax.enable_x64(True):
-        step = written_out(on_vectors(full.step), sizes, constant=(2,))
-        measure = step and written_out(on_vectors(full.measure), sizes, constant=(2,))
+        step = written_out(on_vectors(full.step), sizes, moving=2)
+        measure = step and written_out(on_vectors(full.measure), sizes, moving=2)
     return (step, measure) if step and measure else None
 
 
