@@ -66,7 +66,7 @@ def written_out(function: Callable[..., jax.Array], sizes: Sequence[int], moving
     """
     kind = jax.dtypes.canonicalize_dtype(float)
     whole = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct((n,), kind) for n in sizes))
-    if _size(whole.jaxpr) > _MOST:
+    if _operations(whole.jaxpr) > _MOST:
         return None
     count, moved = sum(sizes), sum(sizes[:moving])
 
@@ -232,11 +232,21 @@ def _constant(value: Any) -> _Array:
     return _Array(list(value.ravel()), value.shape)
 
 
-def _size(jaxpr: Any) -> int:
-    """Operations on numbers that a function consists of."""
-    inner = [p.jaxpr for e in jaxpr.eqns for p in e.params.values() if hasattr(p, "jaxpr") and hasattr(p, "consts")]
-    own = sum(int(np.prod(e.outvars[0].aval.shape)) for e in jaxpr.eqns if e.primitive.name in _EACH)
-    return own + sum(map(_size, inner))
+def _operations(jaxpr: Any) -> int:
+    """On numbers, of which a function consists."""
+    return sum(map(_operations_of, jaxpr.eqns))
+
+
+def _operations_of(equation: Any) -> int:
+    name, params = equation.primitive.name, equation.params
+    if name == "jit":
+        return _operations(params["jaxpr"].jaxpr)
+    if name == "dot_general":
+        (over, _), _ = params["dimension_numbers"]
+        return equation.outvars[0].aval.size * int(np.prod([equation.invars[0].aval.shape[i] for i in over]))
+    if name in _REDUCED:
+        return equation.invars[0].aval.size
+    return equation.outvars[0].aval.size if name in _EACH else 0
 
 
 def _unknown(name: str) -> Any:

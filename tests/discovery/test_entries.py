@@ -90,6 +90,8 @@ def test_what_a_number_is_and_what_it_is_not():
         own,
         lambda a: jnp.zeros(3).at[jnp.argmax(a)].set(1.0),
         lambda a: jnp.exp(jnp.arange(1000.0) * a[0])[:2],
+        lambda a: jnp.ones((300, 3)) @ a,
+        lambda a: jnp.broadcast_to(a, (300, 3)).sum(0),
     ):
         assert written_out(function, (3,), moving=1) is None
 
