@@ -43,7 +43,7 @@ def resume_config(
 
 def override(key: str, text: str) -> str:
     """`key=text` as Hydra reads it back, whatever the text."""
-    if re.fullmatch(r"[A-Za-z/._][A-Za-z0-9/._-]*", text) and text.lower() not in (
+    if re.fullmatch(r"(?!\.\d)[A-Za-z/._][A-Za-z0-9/._-]*", text) and text.lower() not in (
         "null",
         "true",
         "false",
