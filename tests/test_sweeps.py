@@ -72,7 +72,10 @@ def test_what_cannot_be_written_is_told_apart_by_a_hash():
     assert sum("~" in name for name in names) == 3
 
 
-@given(text=st.text("ab1.é /'\"\\,=", max_size=8) | st.sampled_from(["null", "True", "1e3", ".1", ".5e-2", "../.1", "nan", "runs/a-b_c.d"]))
+@given(
+    text=st.text("ab1.é /'\"\\,=", max_size=8)
+    | st.sampled_from(["null", "True", "1e3", ".1", ".5e-2", "../.1", "nan", "runs/a-b_c.d"])
+)
 def test_hydra_reads_back_what_was_quoted_for_it(text):
     found = OverridesParser.create().parse_override(override("resume", text))
     assert found.get_key_element() == "resume"
