@@ -6,23 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.discovery.locate import box, clear, intervals, signal_map
+from pgrssnn_jax.discovery.finding import (
+    at_bound,
+    closed_on_test,
+    deviations,
+    finding,
+    floor,
+    jackknife,
+    when,
+    within_record,
+)
+from pgrssnn_jax.discovery.locate import box, clear, signal_map
 from pgrssnn_jax.discovery.look import Candidate, Stage
-from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
-from pgrssnn_jax.effects.base import Effect, add
-
-_INTERVALS = 50  # written, at most
-_MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
+from pgrssnn_jax.effects.base import add
 
 
 def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str, Any]:
     """The content of `discovery.json`; `numbers` and `physics` are what `physics.effects=FILE` reads."""
     problem, estimation = found.problem, setup.estimation
-    effects = [_effect(found, name, command) for name in _by_gain(found)]
+    effects = [finding(found, name, command) for name in _by_gain(found)]
     verdict = found.judged.verdict
     return {
         "schema": 1,
@@ -64,125 +71,6 @@ def _by_gain(found: Discovery) -> list[str]:
     return sorted(found.found.final.estimate.active, key=lambda name: -found.found.stages[name].rms())
 
 
-def _closed(found: Discovery, error: float, better: float) -> float:
-    """Part of the recalibrated gap on the test record between two errors."""
-    gap = found.test.recalibrated.error - _floor(found)
-    return (error - better) / gap if gap > 0 else 0.0
-
-
-def _floor(found: Discovery) -> float:
-    """The noise in the figure of merit."""
-    relative = found.found.noise**0.5
-    scale = 1.0 if found.merit.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
-    return relative * scale
-
-
-def _effect(found: Discovery, name: str, command: str) -> dict[str, Any]:
-    problem, search = found.problem, found.found
-    effect, stage = problem.effect(name), search.stages[name]
-    numbers = problem.params(search.final.estimate.theta)[name]
-    std = problem.params(deviations(found))[name]
-    own = next((c for c in stage.candidates if c.name == name), None)
-    runner = next((c for c in stage.candidates if c.name != name and c.validated), None)
-    acting = _acting(found, effect, numbers)
-    gap = search.first.rms() - search.noise**0.5
-
-    def closed(better: float) -> float:
-        return (stage.rms() - better) / gap if gap > 0 else 0.0
-
-    said: dict[str, Any] = {
-        "name": name,
-        "title": effect.title,
-        "equation": effect.equation,
-        "cause": effect.cause,
-        "acts_on": effect.acts_on,
-        "channels": effect.channels,
-        "parameters": {
-            key: {
-                "value": np.asarray(numbers[key]).tolist(),
-                "std": np.asarray(std[key]).tolist(),
-                "unit": meaning.unit,
-                "symbol": meaning.symbol,
-                "at_bound": _at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
-            }
-            for key, meaning in effect.parameters.items()
-        },
-        "region": _region(found, acting),
-        "active_fraction": float(acting.sum() / _within(found.signals).sum()),
-        **_when(acting, problem.physics.dt),
-        "p_value": stage.p_value(own) if own else None,
-        "gain_train": closed(search.last.rms()),
-        "gain_test": _closed(found, found.without[name].error, found.test.after.error),
-        "runner_up": {"name": runner.name, "gain": closed(stage.rms(runner))} if runner else None,
-        "command": command,
-    }
-    if effect.channels == "joint":
-        said["joints"] = _joints(effect, numbers, std)
-    return said
-
-
-def _at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:
-    """Is a number where its fit was not let go further? Where it changes nothing it may well be."""
-    ends = [end for end in bounds if np.isfinite(end) and end != neutral]
-    near = [np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends]
-    return np.asarray(np.any([np.zeros_like(value, bool), *near], axis=0))
-
-
-def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:
-    """Joints, from 1, whose numbers stand out of their uncertainty."""
-    neutral = effect.neutral()
-    meant: set[int] = set()
-    for key in effect.shapes:
-        value, spread = np.ravel(numbers[key]), np.ravel(std[key])
-        away = np.abs(value - np.ravel(neutral[key]))
-        meant |= {int(j) + 1 for j in np.flatnonzero((away > _MEANT * spread) & (away > 0))}
-    return sorted(meant)
-
-
-def _acting(found: Discovery, effect: Effect, numbers: Mapping[str, Any]) -> np.ndarray:
-    """When the effect acts, `[seq, time]`, in the free run of the final model."""
-    x, u = found.train.after.x, found.signals.u
-    within = _within(found.signals)
-    if effect.active is None:
-        return within
-    return within & np.stack([np.asarray(effect.active(numbers, *pair)) for pair in zip(x, u, strict=True)])
-
-
-def _when(acting: np.ndarray, dt: float) -> dict[str, Any]:
-    """Intervals of the first sequence, from 1, in which anything acts."""
-    first = int(np.argmax(acting.any(1)))
-    return {"sequence": first + 1, "intervals_s": [list(pair) for pair in intervals(acting[first], dt)][:_INTERVALS]}
-
-
-def _within(signals: Signals) -> np.ndarray:
-    """Samples `[seq, time]` up to the last measured one: what follows fills a shorter sequence up."""
-    measured = np.any(signals.weight > 0, -1)
-    still_to_come = np.cumsum(measured[:, ::-1], 1)[:, ::-1]
-    return still_to_come > 0
-
-
-def _region(found: Discovery, acting: np.ndarray) -> str:
-    within = _within(found.signals)
-    if acting[within].all():
-        return "everywhere"
-    if not acting.any():
-        return "nowhere in the estimation record"
-    physics = found.problem.physics
-    values = np.concatenate([found.train.after.x[..., : len(physics.states)], found.signals.u], -1)
-    return box(acting[within] * 1.0, values[within], (*physics.states, *physics.inputs)).rule.split(":")[0]
-
-
-def deviations(found: Discovery) -> np.ndarray:
-    """Standard deviations of θ from the fits without each fold (delete-a-group jackknife)."""
-    return jackknife(found.found.final.folds)
-
-
-def jackknife(folds: np.ndarray) -> np.ndarray:
-    """Standard deviation `[p]` from estimates `[fold, p]` that each leave one fold out; 0 for infinite limits."""
-    finite = np.where(np.isfinite(folds), folds, 0.0)
-    return np.sqrt((len(folds) - 1) / len(folds) * ((finite - finite.mean(0)) ** 2).sum(0))
-
-
 def _parameters(found: Discovery) -> dict[str, Any]:
     std, theta = deviations(found), found.found.final.estimate.theta
     free = [i for name in (None, *found.found.final.estimate.active) for i in found.problem.of(name)]
@@ -192,7 +80,7 @@ def _parameters(found: Discovery) -> dict[str, Any]:
             "value": float(theta[i]),
             "std": float(std[i]),
             "unit": slots[i].meaning.unit,
-            "at_bound": bool(_at_bound(theta[i], (float(low[i]), float(high[i])), slots[i].meaning.neutral)),
+            "at_bound": bool(at_bound(theta[i], (float(low[i]), float(high[i])), slots[i].meaning.neutral)),
         }
         for i in free
     }
@@ -222,8 +110,8 @@ def _gap(found: Discovery) -> dict[str, Any]:
         **pairs,
         "test_interval": {name: list(getattr(test, name).interval) for name in test._fields},
         "n_init": found.merit.n_init,
-        "floor": _floor(found),
-        "closed_fraction": _closed(found, test.recalibrated.error, test.after.error),
+        "floor": floor(found),
+        "closed_fraction": closed_on_test(found, test.recalibrated.error, test.after.error),
     }
 
 
@@ -299,7 +187,7 @@ def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
 def disagreement(found: Discovery) -> list[dict[str, Any]]:
     """One entry per state equation whose correction stands out, the likeliest first."""
     physics, correction = found.problem.physics, found.correction
-    within = _within(found.located)
+    within = within_record(found.located)
     values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)[within]
     said = []
     for i in np.argsort(-correction.likelihood):
@@ -315,7 +203,7 @@ def disagreement(found: Discovery) -> list[dict[str, Any]]:
                 "rule": where.rule,
                 "share_of_error": where.share_of_error,
                 "share_of_samples": where.share_of_samples,
-                **_when(acting, physics.dt),
+                **when(acting, physics.dt),
                 "log_likelihood": float(correction.likelihood[i]),
             }
         )
@@ -406,7 +294,7 @@ def _map_arrays(found: Discovery) -> dict[str, np.ndarray]:
     values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)
     i = [s.name for s in physics.states].index(equation)
     pair = (values[..., names.index(a)], values[..., names.index(b)])
-    drawn = signal_map(found.correction.mean[i], *pair, (a, b), _within(found.located))
+    drawn = signal_map(found.correction.mean[i], *pair, (a, b), within_record(found.located))
     return {
         "map_x_edges": drawn.a_edges, "map_u_edges": drawn.b_edges, "map_mean": drawn.mean,
         "map_std_error": drawn.std_error, "map_count": drawn.samples, "map_equation": np.array(equation),

@@ -1,0 +1,133 @@
+"""One finding: an effect with its numbers, where and when it acts, what it closes, and what would do nearly as well."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pgrssnn_jax.discovery.locate import box, intervals
+from pgrssnn_jax.discovery.problem import Signals
+from pgrssnn_jax.discovery.workflow import Discovery
+from pgrssnn_jax.effects.base import Effect
+
+_INTERVALS = 50  # written, at most
+_MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
+
+
+def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
+    problem, search = found.problem, found.found
+    effect, stage = problem.effect(name), search.stages[name]
+    numbers = problem.params(search.final.estimate.theta)[name]
+    std = problem.params(deviations(found))[name]
+    own = next((c for c in stage.candidates if c.name == name), None)
+    runner = next((c for c in stage.candidates if c.name != name and c.validated), None)
+    acting = _acting(found, effect, numbers)
+    gap = search.first.rms() - search.noise**0.5
+
+    def closed(better: float) -> float:
+        return (stage.rms() - better) / gap if gap > 0 else 0.0
+
+    said: dict[str, Any] = {
+        "name": name,
+        "title": effect.title,
+        "equation": effect.equation,
+        "cause": effect.cause,
+        "acts_on": effect.acts_on,
+        "channels": effect.channels,
+        "parameters": {
+            key: {
+                "value": np.asarray(numbers[key]).tolist(),
+                "std": np.asarray(std[key]).tolist(),
+                "unit": meaning.unit,
+                "symbol": meaning.symbol,
+                "at_bound": at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
+            }
+            for key, meaning in effect.parameters.items()
+        },
+        "region": _region(found, acting),
+        "active_fraction": float(acting.sum() / within_record(found.signals).sum()),
+        **when(acting, problem.physics.dt),
+        "p_value": stage.p_value(own) if own else None,
+        "gain_train": closed(search.last.rms()),
+        "gain_test": closed_on_test(found, found.without[name].error, found.test.after.error),
+        "runner_up": {"name": runner.name, "gain": closed(stage.rms(runner))} if runner else None,
+        "command": command,
+    }
+    if effect.channels == "joint":
+        said["joints"] = _joints(effect, numbers, std)
+    return said
+
+
+def closed_on_test(found: Discovery, error: float, better: float) -> float:
+    """Part of the recalibrated gap on the test record between two errors."""
+    gap = found.test.recalibrated.error - floor(found)
+    return (error - better) / gap if gap > 0 else 0.0
+
+
+def floor(found: Discovery) -> float:
+    """The noise in the figure of merit."""
+    relative = found.found.noise**0.5
+    scale = 1.0 if found.merit.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
+    return relative * scale
+
+
+def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:
+    """Is a number where its fit was not let go further? Where it changes nothing it may well be."""
+    ends = [end for end in bounds if np.isfinite(end) and end != neutral]
+    near = [np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends]
+    return np.asarray(np.any([np.zeros_like(value, bool), *near], axis=0))
+
+
+def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:
+    """Joints, from 1, whose numbers stand out of their uncertainty."""
+    neutral = effect.neutral()
+    meant: set[int] = set()
+    for key in effect.shapes:
+        value, spread = np.ravel(numbers[key]), np.ravel(std[key])
+        away = np.abs(value - np.ravel(neutral[key]))
+        meant |= {int(j) + 1 for j in np.flatnonzero((away > _MEANT * spread) & (away > 0))}
+    return sorted(meant)
+
+
+def _acting(found: Discovery, effect: Effect, numbers: Mapping[str, Any]) -> np.ndarray:
+    """When the effect acts, `[seq, time]`, in the free run of the final model."""
+    x, u = found.train.after.x, found.signals.u
+    within = within_record(found.signals)
+    if effect.active is None:
+        return within
+    return within & np.stack([np.asarray(effect.active(numbers, *pair)) for pair in zip(x, u, strict=True)])
+
+
+def when(acting: np.ndarray, dt: float) -> dict[str, Any]:
+    """Intervals of the first sequence, from 1, in which anything acts."""
+    first = int(np.argmax(acting.any(1)))
+    return {"sequence": first + 1, "intervals_s": [list(pair) for pair in intervals(acting[first], dt)][:_INTERVALS]}
+
+
+def within_record(signals: Signals) -> np.ndarray:
+    """Samples `[seq, time]` up to the last measured one: what follows fills a shorter sequence up."""
+    measured = np.any(signals.weight > 0, -1)
+    still_to_come = np.cumsum(measured[:, ::-1], 1)[:, ::-1]
+    return still_to_come > 0
+
+
+def _region(found: Discovery, acting: np.ndarray) -> str:
+    within = within_record(found.signals)
+    if acting[within].all():
+        return "everywhere"
+    if not acting.any():
+        return "nowhere in the estimation record"
+    physics = found.problem.physics
+    values = np.concatenate([found.train.after.x[..., : len(physics.states)], found.signals.u], -1)
+    return box(acting[within] * 1.0, values[within], (*physics.states, *physics.inputs)).rule.split(":")[0]
+
+
+def deviations(found: Discovery) -> np.ndarray:
+    """Standard deviations of θ from the fits without each fold (delete-a-group jackknife)."""
+    return jackknife(found.found.final.folds)
+
+
+def jackknife(folds: np.ndarray) -> np.ndarray:
+    """Standard deviation `[p]` from estimates `[fold, p]` that each leave one fold out; 0 for infinite limits."""
+    finite = np.where(np.isfinite(folds), folds, 0.0)
+    return np.sqrt((len(folds) - 1) / len(folds) * ((finite - finite.mean(0)) ** 2).sum(0))
