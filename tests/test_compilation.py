@@ -6,7 +6,9 @@ import sys
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from pgrssnn_jax import compilation
 from pgrssnn_jax.compilation import known, optimised, quick_jit
 
 
@@ -38,6 +40,15 @@ def test_quick_compilation_gives_the_same_numbers_and_traces_once_per_static_arg
     for n, both in found.items():
         for got, expected in zip(both, jax.jit(power, static_argnums=0)(n, 0.7), strict=True):
             np.testing.assert_allclose(got, expected, rtol=1e-6)
+
+
+def test_arguments_may_ask_for_the_usual_compilation(monkeypatch):
+    """Options that this XLA does not have tell which way a program went."""
+    monkeypatch.setattr(compilation, "_quick", lambda: {"no_such_option": True})
+    twice = quick_jit(lambda scale, x: scale > 2, static_argnums=0)(lambda scale, x: 2 * scale * x)
+    assert float(twice(3, jnp.asarray(0.5))) == 3.0
+    with pytest.raises(jax.errors.JaxRuntimeError, match="No such compile option"):
+        twice(2, jnp.asarray(0.5))
 
 
 def test_importing_discovery_leaves_the_devices_to_be_set():

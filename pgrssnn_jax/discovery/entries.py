@@ -1,8 +1,8 @@
 """A function of small arrays written out in numbers, so that very many of it side by side run fast on a CPU.
 
 Batched over fits, a state of a few entries becomes an array `[fit, entry]`, and XLA concatenates and scatters rows of
-two numbers. Written out, every operation acts on one number of all fits, `[fit]`: 24 free runs of the tanks with 14
-derivatives each take 25 ms instead of 47 (two cores).
+two numbers. Written out, every operation acts on one number of all fits, `[fit]`: 24 free runs of the tanks, with 14
+derivatives apiece, take 25 ms instead of 47 (two cores).
 """
 
 from collections.abc import Callable, Iterator, Sequence
