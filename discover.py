@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pgrssnn_jax import entry
+from pgrssnn_jax.cli import entry
 
 entry.check_packages()
 
@@ -12,7 +12,7 @@ from omegaconf import DictConfig  # noqa: E402
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="discover")
 def main(config: DictConfig) -> Any:
-    from pgrssnn_jax.discovery.command import prepare_discovery
+    from pgrssnn_jax.cli.discover import prepare_discovery
 
     return entry.run(prepare_discovery, config)
 

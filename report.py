@@ -2,7 +2,7 @@
 
 import sys
 
-from pgrssnn_jax import entry
+from pgrssnn_jax.cli import entry
 
 entry.check_packages()
 
@@ -12,14 +12,14 @@ from omegaconf import DictConfig  # noqa: E402
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="report")
 def main(config: DictConfig) -> None:
-    from pgrssnn_jax.reports.evidence import prepare_report
+    from pgrssnn_jax.paper.command import prepare_report
 
     entry.run(prepare_report, config)
 
 
 def as_typed(word: str) -> str:
     """Folders as text: to Hydra an = or a comma in one would mean something else. Lists and quoted text stay."""
-    from pgrssnn_jax.resume import override
+    from pgrssnn_jax.cli.resume import override
 
     key, equals, text = word.partition("=")
     return override(key, text) if key in ("runs", "out") and equals and text and text[0] not in "\"'[" else word

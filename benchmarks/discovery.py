@@ -24,12 +24,12 @@ from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.arm.arm import arm
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.settings import call_with
+from pgrssnn_jax.training.settings import call_with
 
 _SETTINGS = {
     "replace": {}, "fixed": [], "tolerance": 0.5, "stretches": [], "starts": 4,

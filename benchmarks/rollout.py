@@ -20,18 +20,18 @@ from rich.console import Console
 from rich.table import Table
 from timing import medians
 
-from pgrssnn_jax.entry import set_up_jax
-from pgrssnn_jax.fit import Fit, FitSettings
-from pgrssnn_jax.initial_state import InitialState
-from pgrssnn_jax.members import Mapping, Member, choose_mapping, keys_of, map_members, repeat
-from pgrssnn_jax.model import build_model, model_scaling
-from pgrssnn_jax.networks import ModelSpec
-from pgrssnn_jax.objective import MemberData, build_objective
+from pgrssnn_jax.cli.entry import set_up_jax
+from pgrssnn_jax.models.initial_state import InitialState
+from pgrssnn_jax.models.model import build_model, model_scaling
+from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records import Channel, RecordInfo, cast, record, windows
-from pgrssnn_jax.rollout import rollout
+from pgrssnn_jax.records.record import Channel, RecordInfo, cast, record, windows
+from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, keys_of, map_members, repeat
+from pgrssnn_jax.training.objective import MemberData, build_objective
+from pgrssnn_jax.training.optimise import Fit, FitSettings
 
 
 def main() -> None:
@@ -61,7 +61,7 @@ def tanks_case(repeats: int) -> dict[str, Any]:
         "shape": "1 sequence of 768 steps",
         "routes": routes(physics, data, repeats),
         "epoch_ms": {
-            **epochs(physics, data, 1, [Mapping()], repeats),
+            **epochs(physics, data, 1, [MemberMapping()], repeats),
             **epochs(physics, data, 10, candidates(), repeats),
         },
         "chosen": {
@@ -85,9 +85,11 @@ def lgssm_case(repeats: int) -> dict[str, Any]:
     }
 
 
-def candidates() -> list[Mapping]:
+def candidates() -> list[MemberMapping]:
     devices = sorted({1, jax.device_count()})
-    return [Mapping(how, batch, n) for n in devices for how, batch in (("vmap", None), ("vmap", 5), ("loop", None))]
+    return [
+        MemberMapping(how, batch, n) for n in devices for how, batch in (("vmap", None), ("vmap", 5), ("loop", None))
+    ]
 
 
 def member_data(physics: Physics, time: int, window: int | None) -> MemberData:
@@ -119,7 +121,7 @@ def routes(physics: Physics, data: MemberData, repeats: int) -> dict[str, float]
 
 
 def epochs(
-    physics: Physics, data: MemberData, count: int, mappings: list[Mapping], repeats: int
+    physics: Physics, data: MemberData, count: int, mappings: list[MemberMapping], repeats: int
 ) -> dict[str, dict[str, float]]:
     """One training epoch with its update, all members, in ms, from chunks of 20 epochs with one validation."""
     per_call = 20

@@ -1,7 +1,7 @@
 """Hydra's basic sweeper for runs that are named by content: finished ones are skipped, failures stop nothing.
 
 Hydra takes sweepers from the namespace package `hydra_plugins` only, and imports it at every start: the work is done by
-`pgrssnn_jax.sweep_jobs`.
+`pgrssnn_jax.cli.sweep_jobs`.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 
 class ResumableSweeper(BasicSweeper):
     def sweep(self, arguments: list[str]) -> Any:
-        from pgrssnn_jax.sweep_jobs import Sweep, run_sweep
+        from pgrssnn_jax.cli.sweep_jobs import Sweep, run_sweep
 
         assert self.config is not None
         assert self.hydra_context is not None

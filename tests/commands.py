@@ -10,9 +10,9 @@ import numpy as np
 from hydra import compose, initialize_config_dir
 from rich.console import Console
 
-from pgrssnn_jax.experiments import train_run
-from pgrssnn_jax.plan import Plan, plain, plan_training
-from pgrssnn_jax.runs import RunFolder
+from pgrssnn_jax.cli.plan import Plan, plain, plan_training
+from pgrssnn_jax.cli.train import train_run
+from pgrssnn_jax.training.run_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 QUICK = ["n_seeds=2", "fit.epochs=2", "fit.validate_every=1", "fit.chunk_epochs=1", "model.hidden=3"]

@@ -4,16 +4,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.fit import Fit, FitSettings
-from pgrssnn_jax.initial_state import InitialState
-from pgrssnn_jax.members import repeat
-from pgrssnn_jax.model import ModelParams, build_model, model_scaling
-from pgrssnn_jax.networks import ModelSpec
-from pgrssnn_jax.objective import MemberData, build_objective
+from pgrssnn_jax.models.initial_state import InitialState
+from pgrssnn_jax.models.model import ModelParams, build_model, model_scaling
+from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records import Channel, Record, RecordInfo, cast, record
-from pgrssnn_jax.rollout import rollout
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, cast, record
+from pgrssnn_jax.training.members import repeat
+from pgrssnn_jax.training.objective import MemberData, build_objective
+from pgrssnn_jax.training.optimise import Fit, FitSettings
 
 INFO = RecordInfo((Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), 4.0, "simulated")
 START = (3.0, 4.0)

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.compilation import optimised
-from pgrssnn_jax.model import Model, ModelParams, build_model
-from pgrssnn_jax.networks import ModelSpec
+from pgrssnn_jax.acceleration.compiler import optimised
+from pgrssnn_jax.models.model import Model, ModelParams, build_model
+from pgrssnn_jax.models.networks import ModelSpec
 from pgrssnn_jax.physics.base import Physics, Signal, discrete
-from pgrssnn_jax.records import Channel, Record, RecordInfo, record
-from pgrssnn_jax.scaling import Affine, Scaling
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
+from pgrssnn_jax.records.scaling import Affine, Scaling
 
 _FC = {"recurrent": False, "feedback": True}
 _BLACK_BOX = {
@@ -54,7 +54,7 @@ def toy_measure(p: Any, x: Any, u: Any, xp: Any = np) -> Any:
     return xp.stack([x[0] + 0.1 * u[1], x[1] * x[2] + p["gain"]])
 
 
-def toy_physics(reads: str = "after_step") -> Physics:
+def toy_physics(output_timing: str = "after_step") -> Physics:
     """Three states, two inputs, two outputs; non-linear; the measurement depends on the input."""
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
@@ -69,7 +69,7 @@ def toy_physics(reads: str = "after_step") -> Physics:
         inputs=(Signal("f"), Signal("g")),
         outputs=(Signal("p"), Signal("q")),
         dt=0.5,
-        reads=reads,
+        output_timing=output_timing,
     )
 
 
@@ -80,8 +80,8 @@ TOY_SCALING = Scaling(
 )
 
 
-def toy_model(fields: ModelSpec, *, reads: str = "after_step") -> Model:
-    return build_model(fields, toy_physics(reads))
+def toy_model(fields: ModelSpec, *, output_timing: str = "after_step") -> Model:
+    return build_model(fields, toy_physics(output_timing))
 
 
 def toy_params(model: Model, key: jax.Array, dtype: Any = jnp.float32, scaling: Scaling = TOY_SCALING) -> ModelParams:

@@ -7,9 +7,9 @@ Every motion starts and ends at rest at zero; the torque holds what the controll
 
 from typing import Any
 
-from pgrssnn_jax.datasets.arm_rig import planned
-from pgrssnn_jax.physics.arm.tables import described
-from pgrssnn_jax.records import Channel, RecordInfo
+from pgrssnn_jax.data.arm_simulator import planned
+from pgrssnn_jax.physics.arms.tables import described
+from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from . import arm_effects
 from .arm_plant import SAMPLE_TIME, Effects, controlled, free_run

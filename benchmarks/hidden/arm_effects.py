@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 
-from pgrssnn_jax.physics.arm.tables import ArmTables
+from pgrssnn_jax.physics.arms.tables import ArmTables
 
 from .arm_plant import Effects
 from .case import Catalogue

@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 from jaxtyping import Float
 
-from pgrssnn_jax.datasets.arm_rig import Plan, torque
-from pgrssnn_jax.physics.arm.tables import ArmTables, pinocchio_model
+from pgrssnn_jax.data.arm_simulator import Plan, torque
+from pgrssnn_jax.physics.arms.tables import ArmTables, pinocchio_model
 
 SAMPLE_TIME, SUB_STEPS = 0.1, 10  # s
 _STIFFNESS = 2.0  # rad/s of the controlled joints, well below the sample rate

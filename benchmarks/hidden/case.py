@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.records import Record, RecordInfo, record
+from pgrssnn_jax.records.record import Record, RecordInfo, record
 
 SYSTEMS = ("tanks", "lgssm", "arm", "pendulum")  # their order is part of the seeds
 

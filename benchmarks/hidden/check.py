@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.physics.arm.arm import arm
+from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 from . import arm as hidden_arm

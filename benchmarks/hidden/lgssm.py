@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.records import Channel, RecordInfo
+from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from .case import Case, Catalogue, measured, rms, streams
 from .draws import Quantile, either_sign, resolved, uniform

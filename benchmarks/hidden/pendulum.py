@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records import Channel, RecordInfo
+from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from .case import Case, Catalogue, measured, rms, streams
 from .draws import Quantile, either_sign, resolved, uniform

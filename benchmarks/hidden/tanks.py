@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.records import Channel, RecordInfo
+from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from . import tanks_effects
 from .case import Case, measured, rms, streams

@@ -21,7 +21,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.search import Found
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
 from pgrssnn_jax.discovery.unknown import Line, in_flexible, spectral_line
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records.record import Record
 
 _LANES = 16  # fits with a correction at a time: the fastest number
 _FINALISTS = 2

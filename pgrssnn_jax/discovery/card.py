@@ -242,7 +242,7 @@ def _sentence(found: Discovery, effects: list[dict[str, Any]]) -> str:
     before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
     verdict = found.judged.verdict
     titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
-    errors = f"test {gap['metric']} {before:.3g}{unit} as given, {fitted:.3g}{unit} recalibrated"
+    errors = f"test {gap['metric']} {before:.3g}{unit} nominal, {fitted:.3g}{unit} recalibrated"
     if verdict is Verdict.NO_DISCREPANCY:
         return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
     if verdict is Verdict.MISCALIBRATED:

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pgrssnn_jax.discovery.problem import Problem, Signals, signals
+from pgrssnn_jax.discovery.problem import Problem, Signals, weighted_signals
 from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
 from pgrssnn_jax.discovery.stretches import stretches
-from pgrssnn_jax.records import Record, take
+from pgrssnn_jax.records.record import Record, take
 
 # sequences in which effects are looked for, first and beside others; their numbers are fitted to all
 _SEARCHED = (12, 24)
@@ -24,7 +24,7 @@ def cut(
 ) -> Signals:
     """The record in stretches of a stage's length, or whole. searched: only sequences where effects are looked for."""
     if not chosen.stretches:
-        return signals(problem, estimation, folds=chosen.folds, block=chosen.block)
+        return weighted_signals(problem, estimation, folds=chosen.folds, block=chosen.block)
     if searched:
         count = _SEARCHED[min(stage, len(_SEARCHED) - 1)]
         estimation = take(estimation, np.arange(min(len(estimation.u), count)))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.effects.base import Reach
+from pgrssnn_jax.effects.base import SignalRange
 
 _FEW = 2  # guesses per device, up to which a program of few lanes is the faster one
 
@@ -167,11 +167,11 @@ def block_sums(values: Float[np.ndarray, "seq time y"], block: int = 32) -> Floa
     return np.add.reduceat(per_sample, edges, axis=1).ravel()
 
 
-def reach_of(problem: Problem, signals: Signals, guess: Guess) -> Reach:
+def signal_range_of(problem: Problem, signals: Signals, guess: Guess) -> SignalRange:
     """What the states, inputs and outputs span in the free run of a guess."""
     y, x = simulate(problem, signals.u, guess.theta[None], guess.x0[None])
 
     def span(a: np.ndarray) -> np.ndarray:
         return np.stack([a.min((0, 1)), a.max((0, 1))])
 
-    return Reach(span(x[0]), span(signals.u), span(y[0]))
+    return SignalRange(span(x[0]), span(signals.u), span(y[0]))

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.effects.base import Effect, Reach, after_step, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input, on_output, with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 KNOTS = 8
@@ -78,8 +78,8 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
         return _history(physics, name, where.target)
     kind, index = where.by
 
-    def starts(reach: Reach) -> list[dict[str, Any]]:
-        low, high = getattr(reach, kind)[:, index]
+    def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
+        low, high = getattr(span, kind)[:, index]
         return [{"c": np.zeros(KNOTS), "high": np.asarray(max(high, low + 1e-9)), "low": np.asarray(low)}]
 
     def correction(p: Any, value: jax.Array) -> jax.Array:
@@ -105,7 +105,7 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
         "",
         {"state": "dynamics", "input": "input", "output": "measurement"}[where.kind],  # pyright: ignore[reportArgumentType]
         {"c": Parameter("c", neutral=0.0), "high": fixed._replace(neutral=1.0), "low": fixed},
-        starts,
+        initial_guesses,
         wrap[where.kind],
         {"c": (KNOTS,)},
     )
@@ -113,7 +113,7 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
 
 def _history(physics: Physics, name: str, channel: int) -> Effect:
     signal = physics.inputs[channel]
-    memory = [Signal(f"{signal.name}_{k + 1}_ago", signal.unit, holds=signal.name) for k in range(_HISTORY)]
+    memory = [Signal(f"{signal.name}_{k + 1}_ago", signal.unit, memory_of=signal.name) for k in range(_HISTORY)]
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         own = u[channel]
@@ -127,7 +127,7 @@ def _history(physics: Physics, name: str, channel: int) -> Effect:
         "",
         "input",
         {"c": Parameter("c", neutral=0.0)},
-        lambda reach: [{"c": np.zeros(_HISTORY)}],
+        lambda span: [{"c": np.zeros(_HISTORY)}],
         lambda inner: with_memory(inner, name, memory, advance),
         {"c": (_HISTORY,)},
     )

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.discovery.entries import Program
+from pgrssnn_jax.acceleration.scalars import Program
 from pgrssnn_jax.discovery.problem import Code
-from pgrssnn_jax.records import Array
+from pgrssnn_jax.records.record import Array
 
 Rows = jax.Array | tuple[jax.Array, ...]
 Function = Callable[[Any, jax.Array, jax.Array], jax.Array]
@@ -60,7 +60,7 @@ def with_derivatives(
 
 
 def _after(code: Code) -> bool:
-    return code.full.reads == "after_step"
+    return code.full.output_timing == "after_step"
 
 
 def _batched(code: Code, function: Function) -> Function:

@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from pgrssnn_jax.compilation import quick_jit
+from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.discovery.free_runs import by_start, free_run, time_first, with_derivatives
 from pgrssnn_jax.discovery.problem import Code, Problem, Signals
-from pgrssnn_jax.members import over_devices
-from pgrssnn_jax.records import Array
+from pgrssnn_jax.records.record import Array
+from pgrssnn_jax.training.members import over_devices
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice
@@ -55,8 +55,8 @@ def fit(
 ) -> Fitted:
     """At most `steps` steps per lane; a lane rests when its cost falls by less than `tolerance`, relative. Double
     precision."""
-    lanes, patience = Lanes(*map(np.asarray, lanes)), Patience(jnp.asarray(steps), jnp.asarray(tolerance))
-    return Fitted(*map(np.asarray, _fit(problem.code, devices, _limits(problem), patience, lanes, signals)))
+    lanes, stop_rule = Lanes(*map(np.asarray, lanes)), StopRule(jnp.asarray(steps), jnp.asarray(tolerance))
+    return Fitted(*map(np.asarray, _fit(problem.code, devices, _limits(problem), stop_rule, lanes, signals)))
 
 
 def sensitivity(problem: Problem, signals: Signals, lanes: Lanes) -> tuple[np.ndarray, np.ndarray]:
@@ -83,7 +83,7 @@ class Limits(NamedTuple):
     precision: Float[Array, " p"]
 
 
-class Patience(NamedTuple):
+class StopRule(NamedTuple):
     """Steps at most, and the relative fall of the cost below which a lane rests."""
 
     steps: Int[Array, ""]
@@ -123,7 +123,7 @@ def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
     return jnp.asarray(lanes.theta).T, jnp.transpose(jnp.asarray(lanes.x0), (2, 1, 0)), jnp.asarray(lanes.free)
 
 
-def _worth_it(code: Code, devices: int, limits: Limits, patience: Patience, lanes: Lanes, *_: object) -> bool:
+def _worth_it(code: Code, devices: int, limits: Limits, stop_rule: StopRule, lanes: Lanes, *_: object) -> bool:
     """Will a program of so many lanes, written out in numbers, make up for the time that it takes to compile well?"""
     return code.written_out is not None and len(lanes.theta) > _FEW * devices
 
@@ -155,15 +155,17 @@ class _State(NamedTuple):
 
 @quick_jit(_worth_it, static_argnums=(0, 1))
 def _fit(
-    code: Code, devices: int, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals
+    code: Code, devices: int, limits: Limits, stop_rule: StopRule, lanes: Lanes, signals: Signals
 ) -> tuple[jax.Array, ...]:
     def on_one_device(lanes: Lanes) -> tuple[jax.Array, ...]:
-        return _fit_lanes(code, limits, patience, lanes, signals)
+        return _fit_lanes(code, limits, stop_rule, lanes, signals)
 
     return over_devices(on_one_device, devices)(lanes)
 
 
-def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, signals: Signals) -> tuple[jax.Array, ...]:
+def _fit_lanes(
+    code: Code, limits: Limits, stop_rule: StopRule, lanes: Lanes, signals: Signals
+) -> tuple[jax.Array, ...]:
     u, y, w = (time_first(a) for a in signals[:3])
     theta0, x0, free = _lanes_last(lanes)
     counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)[None, None]  # [seq, time, lane]
@@ -213,7 +215,7 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         chosen_theta = jnp.take_along_axis(trial_theta, best[None, None], 0)[0]
         chosen_x0 = jnp.take_along_axis(trial_x0, best[None, None, None], 0)[0]
         chosen_moved = jnp.take_along_axis(moved, best[None, None], 0)[0]
-        still = (now - cost <= patience.tolerance * now) | (~better & (state.damping > _GIVE_UP))
+        still = (now - cost <= stop_rule.tolerance * now) | (~better & (state.damping > _GIVE_UP))
         damping = jnp.where(better, jnp.asarray(dampings)[best] * state.damping, state.damping * 30.0)
         return _State(
             jnp.where(better, chosen_theta, state.theta),
@@ -307,5 +309,5 @@ def _fit_lanes(code: Code, limits: Limits, patience: Patience, lanes: Lanes, sig
         jnp.zeros(lane, bool),
         jnp.zeros((), jnp.int32),
     )
-    state = jax.lax.while_loop(lambda s: (s.taken < patience.steps) & ~s.resting.all(), step, state)
+    state = jax.lax.while_loop(lambda s: (s.taken < stop_rule.steps) & ~s.resting.all(), step, state)
     return state.theta.T, jnp.transpose(state.x0, (2, 1, 0)), state.cost

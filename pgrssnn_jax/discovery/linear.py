@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all, reach_of
+from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
 from pgrssnn_jax.discovery.look import Candidate, Rules, Stage, chance, size_and_noise
 from pgrssnn_jax.discovery.noise import surrogates
@@ -131,7 +131,7 @@ def _candidates(
     problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str]
 ) -> list[tuple[Guess, Reduced]]:
     """Every effect at every start. Effects that begin at their neutral numbers share linearisations."""
-    reach = reach_of(problem, signals, base)
+    span = signal_range_of(problem, signals, base)
     shared = base.theta  # numbers that no fit moves, the reach of a signal say, may differ: neutral effects do nothing
     together: list[tuple[str, np.ndarray]] = []
     apart: list[tuple[Guess, np.ndarray]] = []
@@ -139,7 +139,7 @@ def _candidates(
         if effect.name in (*base.active, *without):
             continue
         places = problem.of(effect.name)
-        for numbers in effect.starts(reach):
+        for numbers in effect.initial_guesses(span):
             theta = problem.put(base.theta, effect.name, numbers)
             if np.array_equal(theta[places], base.theta[places]):
                 shared = problem.put(shared, effect.name, numbers)

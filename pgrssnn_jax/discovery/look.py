@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, cross_validate, fit_all, reach_of
+from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, cross_validate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import null_law, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals
@@ -115,7 +115,7 @@ def look_at(
     else:
         known, ((base, cost),) = None, fit_all(problem, signals, [base], settings)
     own, guesses = problem.of(None), _beside(problem, signals, base, without)
-    if 2 * len(guesses) + 2 <= settings.lanes:  # the same from the physics as given: the refit may have gone astray
+    if 2 * len(guesses) + 2 <= settings.lanes:  # the same from the nominal physics: the refit may have gone astray
         guesses += [g._replace(theta=_with(g.theta, own, problem.theta[own])) for g in guesses]
     fresh = base._replace(x0=signals.start)
     nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
@@ -144,12 +144,12 @@ def look_at(
 
 def _beside(problem: Problem, signals: Signals, base: Guess, without: Sequence[str]) -> list[Guess]:
     """Every effect that a guess does not have, at every start."""
-    reach = reach_of(problem, signals, base)
+    span = signal_range_of(problem, signals, base)
     return [
         Guess((*base.active, effect.name), problem.put(base.theta, effect.name, numbers), base.x0)
         for effect in problem.effects
         if effect.name not in (*base.active, *without)
-        for numbers in effect.starts(reach)
+        for numbers in effect.initial_guesses(span)
     ]
 
 

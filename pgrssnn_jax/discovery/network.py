@@ -11,17 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax import evaluate
+from pgrssnn_jax.cli.plan import Plan, plan_training
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.effects.discovered import OF_TRAINING
-from pgrssnn_jax.members import jit_members, keys_of
-from pgrssnn_jax.metrics import nrmse, rmse
-from pgrssnn_jax.plan import Plan, plan_training
-from pgrssnn_jax.training import no_losses, train
+from pgrssnn_jax.training import evaluation as evaluate
+from pgrssnn_jax.training.loop import no_losses, train
+from pgrssnn_jax.training.members import jit_members, keys_of
+from pgrssnn_jax.training.metrics import nrmse, rmse
 
 
 def plan_network(setup: Setup, effects: str | None) -> Plan:
-    """Training on the record that was examined; effects: the file of what was found, None for the physics as given.
+    """Training on the record that was examined; effects: the file of what was found, None for the nominal physics.
     Raises `ValueError` for settings of the training that are none."""
     config, given = setup.config, setup.config["physics"]
     # gradients as in training; the backend as in the discovery, because another may not know the effects

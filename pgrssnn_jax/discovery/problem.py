@@ -15,10 +15,10 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
-from pgrssnn_jax.discovery.entries import Program, written_out
+from pgrssnn_jax.acceleration.scalars import Program, written_out
 from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records.record import Record
 
 _MATRIX_REACH = 0.5  # of a matrix's largest entry
 _BEGINNING = 8  # one part in so many of a short sequence is in every fit
@@ -48,8 +48,8 @@ class Code:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What does not change during a discovery. slots: one per number of θ; theta: the physics as given, effects
-    neutral; size: of a relative change; precision: of the physics as given, for unit variance of the weighted errors
+    """What does not change during a discovery. slots: one per number of θ; theta: the nominal physics, effects
+    neutral; size: of a relative change; precision: of the nominal physics, for unit variance of the weighted errors
     (0: nothing is held); code: shared by problems that differ in numbers alone (`with_numbers`)."""
 
     physics: Physics
@@ -76,7 +76,7 @@ class Problem:
         return replace(self, physics=physics, theta=theta, low=low, high=high, size=size, precision=free)
 
     def held(self, tolerance: float, noise: float) -> "Problem":
-        """The same problem whose physics is known to within a tolerance: the relative standard deviation of what was
+        """The same problem whose physics is known by a prior: the relative standard deviation of what was
         given (of a matrix: relative to its largest entry), where `noise` is the variance of the weighted errors. A zero
         says nothing about its size and is not held."""
         deviation = np.zeros(len(self.theta))
@@ -142,7 +142,7 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
             slots.append(Slot(keys, label, meaning, keys[0] if keys[0] in names else None))
     low, high = _bounds(params, tuple(slots))
     own = len(physics.states)
-    free = np.array([i < own or state.lasting for i, state in enumerate(full.states)])
+    free = np.array([i < own or state.fit_initial for i, state in enumerate(full.states)])
     theta = np.asarray(theta, np.float64)
     return Problem(
         physics,
@@ -191,7 +191,7 @@ def _size(theta: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(theta) & (theta != 0.0), np.abs(theta), 1.0)
 
 
-def signals(problem: Problem, record: Record, *, folds: int, block: int) -> Signals:
+def weighted_signals(problem: Problem, record: Record, *, folds: int, block: int) -> Signals:
     """Records in float64 with weights 1 / std(y) and interleaved blocks of `block` samples in `folds` folds.
 
     Blocks are short and folds interleave, so that an effect that acts in one stretch only is in every fold. The
@@ -236,8 +236,8 @@ def start_guess(physics: Physics, u: np.ndarray, y: np.ndarray, mask: np.ndarray
         if state.like is not None:
             j = outputs.index(state.like)
             start[:, i] = y[rows, mask[:, :, j].argmax(1), j]
-        elif state.holds is not None:
-            start[:, i] = u[:, 0, inputs.index(state.holds)]
+        elif state.memory_of is not None:
+            start[:, i] = u[:, 0, inputs.index(state.memory_of)]
         if state.start is not None:
             start[:, i] = state.start
     return start

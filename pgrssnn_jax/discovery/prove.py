@@ -1,6 +1,6 @@
 """The test record, touched once, after everything has been decided.
 
-Every model (as given, recalibrated, with the effects) is simulated from its start: that of the estimation record where
+Every model (nominal, recalibrated, with the effects) is simulated from its start: that of the estimation record where
 both share it, else one fitted to the first n_init samples of the test record, which then do not count.
 """
 
@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax import metrics
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.training import metrics
 
 _RESAMPLED = 400
 _BLOCK = 32  # samples that are drawn together in the bootstrap
@@ -69,8 +69,8 @@ def fitted_start(
     return fitted.x0
 
 
-def fitted_as_given(problem: Problem, signals: Signals, settings: Settings) -> Guess:
-    """The physics as given, with the best initial state for the estimation record."""
+def fitted_nominal(problem: Problem, signals: Signals, settings: Settings) -> Guess:
+    """The nominal physics, with the best initial state for the estimation record."""
     ((given, _),) = fit_all(problem, signals, [Guess((), problem.theta, signals.start)], settings, only_start=True)
     return given
 
@@ -78,7 +78,7 @@ def fitted_as_given(problem: Problem, signals: Signals, settings: Settings) -> G
 def recalibrated_from_spread(
     problem: Problem, signals: Signals, start: Guess, settings: Settings, rng: np.random.Generator, starts: int
 ) -> Guess:
-    """The physics' own parameters fitted from several starting values: as given, and drawn about it."""
+    """The physics' own parameters fitted from several starting values: nominal, and drawn about it."""
     own = problem.of(None)
     guesses = [start]
     for _ in range(starts - 1):

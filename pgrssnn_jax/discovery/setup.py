@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgrssnn_jax.cli.plan import check_range, conventions, load_physics, load_splits
 from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.look import Rules
 from pgrssnn_jax.discovery.stretches import check_stretches
-from pgrssnn_jax.effects.catalogue import catalogue, system_of
+from pgrssnn_jax.effects.systems import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.plan import check_range, conventions, load_physics, load_splits
-from pgrssnn_jax.records import Record, Splits, join, take
-from pgrssnn_jax.settings import call_with
+from pgrssnn_jax.records.record import Record, Splits, join, take
+from pgrssnn_jax.training.settings import call_with
 
 _ARM_STRETCHES = (60, 300)  # samples: while nothing is known, and beside the first effect
 _LEAST_BLOCKS = 4  # per fold

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.compilation import quick_jit
+from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _RATES = 10.0 ** np.arange(-6.0, 0.1, 1.0)  # of w: in state scales per sample, as a part of the error's size
@@ -45,12 +45,17 @@ def smoothed_correction(
     n = len(problem.physics.states)
     before = np.concatenate([x0[:, None], x[:, :-1]], 1)[..., :n]
     physics, params = problem.physics, problem.params(theta)
-    a, c = _derivatives(physics.step, physics.measure, physics.reads, params, before, x[..., :n], signals.u)
+    a, c = _derivatives(physics.step, physics.measure, physics.output_timing, params, before, x[..., :n], signals.u)
     c = np.asarray(c) * signals.weight[..., None]
     size = np.maximum(x[..., :n].std((0, 1)), 1e-12)  # states in units of their spread
     a, c = np.asarray(a) * size / size[:, None], c * size
     mean, std, likelihood = _smooth(
-        jnp.asarray(a), jnp.asarray(c), jnp.asarray(error), jnp.asarray(signals.weight > 0), noise, physics.reads
+        jnp.asarray(a),
+        jnp.asarray(c),
+        jnp.asarray(error),
+        jnp.asarray(signals.weight > 0),
+        noise,
+        physics.output_timing,
     )
     scale = (size / physics.dt)[:, None, None]
     return Correction(np.asarray(mean) * scale, np.asarray(std) * scale, np.asarray(likelihood))
@@ -58,26 +63,26 @@ def smoothed_correction(
 
 @quick_jit(static_argnums=(0, 1, 2))
 def _derivatives(
-    step: Any, measure: Any, reads: str, params: Any, before: jax.Array, after: jax.Array, u: jax.Array
+    step: Any, measure: Any, output_timing: str, params: Any, before: jax.Array, after: jax.Array, u: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
     """A `[seq, time, x, x]` and C `[seq, time, y, x]`."""
 
     def each(function: Any) -> Any:
         return jax.vmap(jax.vmap(jax.jacfwd(function, 1), (None, 0, 0)), (None, 0, 0))
 
-    return each(step)(params, before, u), each(measure)(params, after if reads == "after_step" else before, u)
+    return each(step)(params, before, u), each(measure)(params, after if output_timing == "after_step" else before, u)
 
 
 @quick_jit(static_argnums=5)
 def _smooth(
-    a: jax.Array, c: jax.Array, error: jax.Array, measured: jax.Array, noise: jax.Array | float, reads: str
+    a: jax.Array, c: jax.Array, error: jax.Array, measured: jax.Array, noise: jax.Array | float, output_timing: str
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Mean and deviation `[x, seq, time]` of d (per sample, scaled) at the likeliest rate; the gain in likelihood."""
     n = a.shape[-1]
     rates = jnp.asarray(_RATES) * jnp.maximum(jnp.std(error), noise)
 
     def one(equation: jax.Array, rate: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        run = jax.vmap(lambda a, c, e, m: _one_sequence(a, c, e, m, noise, equation, rate, reads))
+        run = jax.vmap(lambda a, c, e, m: _one_sequence(a, c, e, m, noise, equation, rate, output_timing))
         mean, std, likelihood = run(a, c, error, measured)
         return mean, std, likelihood.sum()
 
@@ -99,7 +104,7 @@ def _one_sequence(
     noise: jax.Array | float,
     equation: jax.Array,
     rate: jax.Array,
-    reads: str,
+    output_timing: str,
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     n = a.shape[-1]
 
@@ -124,7 +129,7 @@ def _one_sequence(
         z, p = carry
         a_t, c_t, e, m = inputs
         f = transition(a_t)
-        if reads == "after_step":
+        if output_timing == "after_step":
             z_old, p_old = z, p
             z_new, p_new = predict(z, p, f)
             z, p, fitted = update(z_new, p_new, c_t, e, m)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records.record import Record
 
 _LONG, _SHORT, _ORDER = 15, 9, 3  # samples of the two filters, and their degree
 _CERTAIN = 1e8  # precision of a start that is known
@@ -67,7 +67,7 @@ def stretches(problem: Problem, record: Record, length: int, *, folds: int, at_r
     begins = np.arange(0, time - length + 1, length)
     state, error = _states(problem, filtered)
     before = state  # the state that u_t meets
-    if problem.physics.reads == "after_step":
+    if problem.physics.output_timing == "after_step":
         before = np.concatenate([2.0 * state[:, :1] - state[:, 1:2], state[:, :-1]], 1)
 
     def cut(a: np.ndarray) -> np.ndarray:

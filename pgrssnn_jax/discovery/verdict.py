@@ -1,6 +1,6 @@
 """What may be said, and with what right.
 
-no_discrepancy   the physics as given is as good as the refitted one, and nothing of the catalogue is missing
+no_discrepancy   the nominal physics is as good as the refitted one, and nothing of the catalogue is missing
 miscalibrated    only parameters were wrong
 effect_found     named effects close the gap
 ambiguous        named effects close it, but others do as well on these data
@@ -21,7 +21,7 @@ from pgrssnn_jax.discovery.search import Found
 _RESAMPLED = 500
 _SIMILAR = 0.05  # part of an effect's own gain by which another may fall short and still be as good
 _CHANCE = 0.1  # probability that the other is the better one, above which the data do not decide
-_SHIFTED = 1.05  # ratio of the errors as given and refitted, above which parameters were wrong
+_SHIFTED = 1.05  # ratio of the errors nominal and refitted, above which parameters were wrong
 _BESIDE = 0.15  # part of the gap that a correction without a name must close beside the named effects to be missed
 _AS_WELL = (0.05, -0.1)  # the same beside them, where one alone does nearly as well as all named effects together
 _INSTEAD = 0.015  # the same for one in their place: what is truly there is never beaten by it but by chance
@@ -55,7 +55,7 @@ class Judged(NamedTuple):
 
 
 def judge(problem: Problem, found: Found, beyond: Beyond, before: float, rules: Rules, seed: int) -> Judged:
-    """before: error energy of the physics as given, with the best initial state."""
+    """before: error energy of the nominal physics, with the best initial state."""
     rng = np.random.default_rng(seed)
     gap = max(found.recalibrated.cost**0.5 - found.floor**0.5, 0.0)
     unexplained = _unexplained(found, beyond, gap, rules, rng)

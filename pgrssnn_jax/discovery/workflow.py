@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.ahead import ahead, compile_look
+from pgrssnn_jax.acceleration.background import ahead, compile_look
 from pgrssnn_jax.discovery.beyond import Beyond, for_corrections, look_beyond
 from pgrssnn_jax.discovery.cuts import cut, in_one
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
@@ -25,7 +25,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.prove import (
     Merit,
     Proof,
-    fitted_as_given,
+    fitted_nominal,
     fitted_start,
     merit_for,
     prove,
@@ -37,8 +37,8 @@ from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, flexible_problem, formula
 from pgrssnn_jax.discovery.verdict import Judged, judge
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.records.record import Record
 
 _STEPS = 12  # of a fit to stretches: they are nearly linear
 _ROUGH, _FINE = 1e-3, 1e-6  # tolerance: candidates differ by far more, the final numbers are fitted to the end
@@ -48,7 +48,7 @@ _LOCATED = 24  # sequences or stretches whose correction is estimated
 
 
 class Proofs(NamedTuple):
-    """The same record by the physics as given, recalibrated, and with what was found."""
+    """The same record by the nominal physics, recalibrated, and with what was found."""
 
     before: Proof
     recalibrated: Proof
@@ -116,7 +116,7 @@ def discover_in(
                 wide = cut(flexible, estimation, chosen, 0, start)
                 looks["judge"] = partial(compile_look, flexible, wide, for_corrections(settings))
             compiled = stack.enter_context(ahead(looks))
-            given = fitted_as_given(problem, record, settings)
+            given = fitted_nominal(problem, record, settings)
             begun = given
             if len(problem.of(None)):
                 begun = recalibrated_from_spread(problem, record, given, settings, rng, chosen.starts)
@@ -222,7 +222,7 @@ def _test_start(
 
 
 def _as_known(problem: Problem, record: Signals, begun: Guess, tolerance: float | None) -> Callable[[Problem], Problem]:
-    """Problems whose physics is known to within the tolerance; the noise is what a free refit leaves."""
+    """Problems whose physics has a prior; the noise is what a free refit leaves."""
     if tolerance is None:
         return lambda same: same
     noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / max(1, int((record.weight > 0).sum()))
@@ -230,7 +230,7 @@ def _as_known(problem: Problem, record: Signals, begun: Guess, tolerance: float 
 
 
 def check_free_run(setup: Setup) -> None:
-    """Raises `ValueError` when the physics as given cannot be simulated over the record."""
+    """Raises `ValueError` when the nominal physics cannot be simulated over the record."""
     with jax.enable_x64(True):
         problem = build_problem(setup.physics, ())
         record = cut(problem, setup.estimation, setup.settings, 0, setup.start)

@@ -1,8 +1,8 @@
 """Effects that a model of a robot arm may lack. Joints in rad, rad/s and Nm; the equations stand where they act:
 
-    torques      `pgrssnn_jax.physics.arm.torques`: friction, bias, gain, counterbalance, coupling of the wrist
-    masses       `pgrssnn_jax.physics.arm.changed`: payload, motor inertia, direction of gravity
-    after a step `pgrssnn_jax.physics.arm.stops`: end stops, stiction;  q̇_t ← q̇_t + S q̇_{t-1} in `arm.py`
+    torques      `pgrssnn_jax.physics.arms.torques`: friction, bias, gain, counterbalance, coupling of the wrist
+    masses       `pgrssnn_jax.physics.arms.changed`: payload, motor inertia, direction of gravity
+    after a step `pgrssnn_jax.physics.arms.stops`: end stops, stiction;  q̇_t ← q̇_t + S q̇_{t-1} in `arm.py`
     measurement  y = q + b, where the state is y
 
 An arm looks for the numbers of an effect by its name, so adding one is putting its numbers there; only the zero of the
@@ -16,14 +16,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Numbers, Reach
+from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange
 from pgrssnn_jax.physics.base import Parameter, Physics
 
 _INFINITE = float("inf")
 _PUSH = 0.05  # of the largest motor torque: where a fit of friction begins
 _WRIST = 6  # joints of an arm whose last three are a wrist
 
-Starts = Callable[[Reach], Sequence[Numbers]]
+InitialGuesses = Callable[[SignalRange], Sequence[Numbers]]
 
 
 def arm_effects(physics: Physics) -> tuple[Effect, ...]:
@@ -53,17 +53,17 @@ def arm_effects(physics: Physics) -> tuple[Effect, ...]:
     return tuple(effect for effect in found if effect.name not in left_out)
 
 
-def _at_neutral(parameters: Mapping[str, Parameter], n: int) -> Starts:
+def _at_neutral(parameters: Mapping[str, Parameter], n: int) -> InitialGuesses:
     """Where the torque is linear in the numbers, a fit may begin at none."""
-    return lambda reach: [{name: np.full(n, p.neutral, np.float64) for name, p in parameters.items()}]
+    return lambda span: [{name: np.full(n, p.neutral, np.float64) for name, p in parameters.items()}]
 
 
 def _inside(physics: Physics) -> Physics:
     return physics
 
 
-def _largest(reach: np.ndarray, first: int = 0) -> np.ndarray:
-    return np.maximum(np.abs(reach[:, first:]).max(0), 1e-12)
+def _largest(span: np.ndarray, first: int = 0) -> np.ndarray:
+    return np.maximum(np.abs(span[:, first:]).max(0), 1e-12)
 
 
 def torque_gain(n: int) -> Effect:
@@ -91,7 +91,7 @@ def wrist_coupling() -> Effect:
         "the drives of the last joints run through the wrist, and their torque turns the joints before as well",
         "input",
         {name: Parameter(name, "", bounds=(-2.0, 2.0), neutral=0.0) for name in names},
-        lambda reach: [{name: np.zeros(()) for name in names}],
+        lambda span: [{name: np.zeros(()) for name in names}],
         _inside,
     )
 
@@ -116,8 +116,8 @@ def gravity_counterbalance(n: int, gear: np.ndarray) -> Effect:
     """gear: its size gives the fit a torque to begin with."""
     joint = min(1, n - 1)
 
-    def starts(reach: Reach) -> list[Numbers]:
-        moment = 0.2 * gear[joint] * _largest(reach.u)[joint]
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        moment = 0.2 * gear[joint] * _largest(span.u)[joint]
         return [{"moment": np.asarray(moment), "angle": np.asarray(k * np.pi / 2)} for k in (0, 1, 2, -1)]
 
     return Effect(
@@ -130,7 +130,7 @@ def gravity_counterbalance(n: int, gear: np.ndarray) -> Effect:
             "moment": Parameter("k", "Nm", bounds=(0.0, _INFINITE), neutral=0.0),
             "angle": Parameter("φ", "rad", neutral=0.0),
         },
-        starts,
+        initial_guesses,
         _inside,
     )
 
@@ -170,9 +170,9 @@ def coulomb_friction(n: int) -> Effect:
 def stribeck_friction(n: int) -> Effect:
     """One speed for all joints: it is poorly told by one joint alone."""
 
-    def starts(reach: Reach) -> list[Numbers]:
-        fastest = float(_largest(reach.x, n)[:n].max())
-        return [{"torque": _PUSH * _largest(reach.u)[:n], "speed": np.asarray(s * fastest)} for s in (0.03, 0.1, 0.3)]
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        fastest = float(_largest(span.x, n)[:n].max())
+        return [{"torque": _PUSH * _largest(span.u)[:n], "speed": np.asarray(s * fastest)} for s in (0.03, 0.1, 0.3)]
 
     return Effect(
         "stribeck_friction",
@@ -184,7 +184,7 @@ def stribeck_friction(n: int) -> Effect:
             "torque": Parameter("Ts", "Nm", bounds=(0.0, _INFINITE), neutral=0.0),
             "speed": Parameter("v_s", "rad/s", bounds=(1e-3, _INFINITE), neutral=0.1),
         },
-        starts,
+        initial_guesses,
         _inside,
         {"torque": (n,)},
         active=lambda p, x, u: (np.abs(x[:, n : 2 * n]) < 2 * p["speed"]).any(-1),
@@ -205,7 +205,7 @@ def payload() -> Effect:
             "mass": Parameter("m", "kg", bounds=(0.0, _INFINITE), neutral=0.0),
             "distance": Parameter("d", "m", bounds=(-2.0, 2.0), neutral=0.0),
         },
-        lambda reach: [{"mass": np.asarray(1.0), "distance": np.asarray(d)} for d in (0.1, 0.4)],
+        lambda span: [{"mass": np.asarray(1.0), "distance": np.asarray(d)} for d in (0.1, 0.4)],
         _inside,
     )
 
@@ -238,14 +238,14 @@ def gravity_direction() -> Effect:
             name: Parameter(symbol, "rad", bounds=(-np.pi, np.pi), neutral=0.0)
             for name, symbol in zip(names, ("α", "β"), strict=True)
         },
-        lambda reach: [{name: np.zeros(()) for name in names}],
+        lambda span: [{name: np.zeros(()) for name in names}],
         _inside,
     )
 
 
 def joint_limit(n: int) -> Effect:
-    def starts(reach: Reach) -> list[Numbers]:
-        low, high = reach.x[:, :n]
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        low, high = span.x[:, :n]
         return [
             {"lower": low + share * (high - low), "upper": high - share * (high - low)} for share in (0.03, 0.1, 0.25)
         ]
@@ -264,7 +264,7 @@ def joint_limit(n: int) -> Effect:
             "lower": Parameter("q_low", "rad", neutral=-_INFINITE),
             "upper": Parameter("q_high", "rad", neutral=_INFINITE),
         },
-        starts,
+        initial_guesses,
         _inside,
         {"lower": (n,), "upper": (n,)},
         active=active,
@@ -273,8 +273,8 @@ def joint_limit(n: int) -> Effect:
 
 
 def stiction(n: int) -> Effect:
-    def starts(reach: Reach) -> list[Numbers]:
-        return [{"speed": share * _largest(reach.x, n)[:n]} for share in (0.02, 0.1)]
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        return [{"speed": share * _largest(span.x, n)[:n]} for share in (0.02, 0.1)]
 
     return Effect(
         "stiction",
@@ -283,7 +283,7 @@ def stiction(n: int) -> Effect:
         "a joint that stands still is held until the torque breaks it loose",
         "dynamics",
         {"speed": Parameter("v_s", "rad/s", bounds=(0.0, _INFINITE), neutral=0.0)},
-        starts,
+        initial_guesses,
         _inside,
         {"speed": (n,)},
         active=lambda p, x, u: (np.abs(x[:, n : 2 * n]) < p["speed"]).any(-1),

@@ -21,7 +21,7 @@ Map = Callable[[Any, jax.Array], jax.Array]
 After = Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array]
 
 
-class Reach(NamedTuple):
+class SignalRange(NamedTuple):
     """Where the data take the system: lowest and highest value of every state, input and output in a simulation of the
     physics that the effect is to be added to. Thresholds are looked for inside."""
 
@@ -34,8 +34,8 @@ class Effect(NamedTuple):
     """One named physical effect.
 
     equation: for people; cause: one line; acts_on: where it enters; parameters: what its numbers mean, each with its
-    neutral value; shapes: of those that are arrays (per channel or joint); starts: values from which a fit begins, for
-    the reach of the data; wrap: the physics with the effect, whose functions find its numbers in `params[name]`;
+    neutral value; shapes: of those that are arrays (per channel or joint); initial_guesses: where fits begin, for
+    the range of the data; wrap: the physics with the effect, whose functions find its numbers in `params[name]`;
     active: share of the samples in which it acts, from `(numbers, x, u)` with x `[time, x]`, u `[time, u]`, None where
     it always does; simpler: names of effects that are preferred to this one where they do as well; channels: what
     one number of an array belongs to (`output`, `input`, `joint`; of a matrix `output, input`).
@@ -47,7 +47,7 @@ class Effect(NamedTuple):
     cause: str
     acts_on: Literal["input", "dynamics", "measurement"]
     parameters: Mapping[str, Parameter]
-    starts: Callable[[Reach], Sequence[Numbers]]
+    initial_guesses: Callable[[SignalRange], Sequence[Numbers]]
     wrap: Callable[[Physics], Physics]
     shapes: Mapping[str, tuple[int, ...]] = {}
     active: Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray] | None = None

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from pgrssnn_jax.effects.catalogue import add_named
+from pgrssnn_jax.effects.systems import add_named
 from pgrssnn_jax.physics.base import Physics
 
 OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is

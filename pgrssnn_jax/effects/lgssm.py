@@ -12,7 +12,7 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, after_step
 from pgrssnn_jax.physics.base import Parameter, Physics
-from pgrssnn_jax.physics.lgssm import times
+from pgrssnn_jax.physics.linear import times
 
 
 def lgssm_effects(physics: Physics) -> tuple[Effect, ...]:
@@ -35,7 +35,7 @@ def feedthrough(physics: Physics) -> Effect:
         "the input acts on the output at once, past the state",
         "measurement",
         {"D": Parameter("D", neutral=0.0)},
-        lambda reach: [{"D": np.full(shape, 0.05)}, {"D": np.full(shape, -0.05)}],
+        lambda span: [{"D": np.full(shape, 0.05)}, {"D": np.full(shape, -0.05)}],
         wrap,
         {"D": shape},
         channels="output, input",
@@ -56,7 +56,7 @@ def quadratic_damping(physics: Physics) -> Effect:
         "drag that grows with the square of the speed",
         "dynamics",
         {"c": Parameter("c", neutral=0.0)},
-        lambda reach: [{"c": np.full(n, value)} for value in (0.01, 0.05)],
+        lambda span: [{"c": np.full(n, value)} for value in (0.01, 0.05)],
         lambda inner: after_step(inner, change),
         {"c": (n,)},
         channels="state",

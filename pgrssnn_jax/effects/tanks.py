@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Reach, after_step, on_input
+from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.tanks import safe_sqrt
 
@@ -58,14 +58,16 @@ def _kept(dt: float, slope: jax.Array) -> jax.Array:
     return 1.0 - 0.5 * dt * jnp.clip(slope, 0.0, 1.0 / dt)
 
 
-def _shares(name: str, signal: str, index: int, shares: tuple[float, ...]) -> Callable[[Reach], list[dict[str, Any]]]:
-    """Starting values inside the reach of one signal."""
+def _shares(
+    name: str, signal: str, index: int, shares: tuple[float, ...]
+) -> Callable[[SignalRange], list[dict[str, Any]]]:
+    """Initial guesses inside the range of one signal."""
 
-    def starts(reach: Reach) -> list[dict[str, Any]]:
-        low, high = getattr(reach, signal)[:, index]
+    def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
+        low, high = getattr(span, signal)[:, index]
         return [{name: np.asarray(low + share * (high - low))} for share in shares]
 
-    return starts
+    return initial_guesses
 
 
 def _spilled(p: Any, level: Any, x: jax.Array, new: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
@@ -87,8 +89,8 @@ def overflow_1to2(dt: float) -> Effect:
         spilled, extra = _spilled(p, p[name]["level"], x, new, dt)
         return new.at[0].add(extra - spilled).at[1].add(p[name]["share"] * spilled - extra)
 
-    def starts(reach: Reach) -> list[dict[str, Any]]:
-        levels = _shares("level", "x", 0, (0.55, 0.75, 0.9))(reach)
+    def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
+        levels = _shares("level", "x", 0, (0.55, 0.75, 0.9))(span)
         return [{**start, "share": np.asarray(0.7)} for start in levels]
 
     return Effect(
@@ -101,7 +103,7 @@ def overflow_1to2(dt: float) -> Effect:
             "level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE),
             "share": Parameter("α", "", bounds=(0.0, 1.0), neutral=1.0),
         },
-        starts,
+        initial_guesses,
         lambda physics: after_step(physics, change),
         active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
         simpler=("overflow_lost",),
@@ -190,7 +192,7 @@ def pump_nonlinearity() -> Effect:
             "curvature": Parameter("c", "", bounds=(-5.0, 5.0), neutral=0.0),
             "exponent": Parameter("n", "", bounds=(0.3, 3.0), neutral=1.0),
         },
-        lambda reach: [{"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)],
+        lambda span: [{"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)],
         lambda physics: on_input(physics, name, _curved),
     )
 
@@ -217,7 +219,7 @@ def leak_tank1(dt: float) -> Effect:
         "the upper tank loses water that does not reach the lower one",
         "dynamics",
         {"rate": Parameter("r", "1/s", bounds=(0.0, 0.1), neutral=0.0)},
-        lambda reach: [{"rate": np.asarray(r)} for r in (0.001, 0.005)],
+        lambda span: [{"rate": np.asarray(r)} for r in (0.001, 0.005)],
         lambda physics: after_step(physics, change),
     )
 
@@ -241,7 +243,7 @@ def bypass(dt: float) -> Effect:
         "part of the pump's flow misses the upper tank",
         "dynamics",
         {"share": Parameter("β", "", bounds=(0.0, 1.0), neutral=0.0)},
-        lambda reach: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
+        lambda span: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
         wrap,
     )
 
@@ -264,6 +266,6 @@ def outlet_exponent(dt: float) -> Effect:
         "the outlet of the lower tank has a tube, or its flow is partly laminar",
         "dynamics",
         {"exponent": Parameter("γ", "", bounds=(0.1, 1.5), neutral=0.5)},
-        lambda reach: [{"exponent": np.asarray(g)} for g in (0.4, 0.65)],
+        lambda span: [{"exponent": np.asarray(g)} for g in (0.4, 0.65)],
         lambda physics: after_step(physics, change),
     )

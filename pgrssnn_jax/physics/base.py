@@ -1,8 +1,8 @@
 """The contract of everything physical: what is known of a system, as pure functions and data.
 
     x_t = step(params, x_{t-1}, u_t)            state after the input u_t has acted for dt seconds
-    y_t = measure(params, x_t, u_t)             reads = "after_step"   (the published convention)
-    y_t = measure(params, x_{t-1}, u_t)         reads = "before_step"  (a plant sampled before u_t acts)
+    y_t = measure(params, x_t, u_t)             output_timing = "after_step"   (the published convention)
+    y_t = measure(params, x_{t-1}, u_t)         output_timing = "before_step"  (a plant sampled before u_t acts)
 
 States, inputs and outputs are in physical units; one sample at a time (`x [n_x]`, `u [n_u]`), vmapped over
 the rest. A `Physics` never raises inside compiled code: a state that leaves the floating-point range is data.
@@ -42,10 +42,10 @@ class Signal(NamedTuple):
     """One state, input or output.
 
     A state may say which output it resembles: `like` an output shares that output's scale and its first
-    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start; `holds` an input
+    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start; `memory_of` an input
     remembers that input: its scale, and its first value at the start. range: beyond it a value must be in another unit
     (degrees for rad); data are checked against it. start: its value at the start of a record, where it is known.
-    lasting: what an effect remembers there lasts, so that a fit must find it like the start of a state of the physics.
+    fit_initial: a memory that lasts, whose start a fit must find like that of a state of the physics.
     """
 
     name: str
@@ -53,9 +53,9 @@ class Signal(NamedTuple):
     like: str | None = None
     rate_of: str | None = None
     range: tuple[float, float] = (-float("inf"), float("inf"))
-    holds: str | None = None
+    memory_of: str | None = None
     start: float | None = None
-    lasting: bool = False
+    fit_initial: bool = False
 
 
 class Physics(NamedTuple):
@@ -73,7 +73,7 @@ class Physics(NamedTuple):
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     dt: float
-    reads: Literal["after_step", "before_step"] = "after_step"
+    output_timing: Literal["after_step", "before_step"] = "after_step"
     skeleton: Skeleton | None = None
     remark: str = ""
     differentiable: bool = True
@@ -94,7 +94,7 @@ def discrete(
     outputs: tuple[Signal, ...],
     dt: float,
     parameters: Mapping[str, Any] | None = None,
-    reads: Literal["after_step", "before_step"] = "after_step",
+    output_timing: Literal["after_step", "before_step"] = "after_step",
     skeleton: Skeleton | None = None,
     remark: str = "",
     differentiable: bool = True,
@@ -120,8 +120,10 @@ def discrete(
         if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
             key = jax.tree_util.keystr(path, simple=True, separator=".")
             raise ValueError(f"physics {name!r}: {key}: expected {low:g} to {high:g} {leaf.unit}, found {value}")
-    if reads not in ("after_step", "before_step"):
-        raise ValueError(f"physics {name!r}: reads: expected after_step or before_step, found {reads!r}")
+    if output_timing not in ("after_step", "before_step"):
+        raise ValueError(
+            f"physics {name!r}: output_timing: expected after_step or before_step, found {output_timing!r}"
+        )
     known = {signal.name for signal in outputs}
     for state in states:
         for other in (state.like, state.rate_of):
@@ -141,7 +143,7 @@ def discrete(
         inputs,
         outputs,
         float(dt),
-        reads,
+        output_timing,
         skeleton,
         remark,
         differentiable,

@@ -20,7 +20,7 @@ NOT_CHOSEN = "#b9c3cd"
 SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 
 DISCOVERY_CAPTIONS = {
-    "Simulation": "Free-run simulation of the test record, which had no part in the search, by the physics as given"
+    "Simulation": "Free-run simulation of the test record, which had no part in the search, by the nominal physics"
     " and by the physics with what was found. The strip below is what either leaves over.",
     "Disagreement": "What the physics leaves over on the training record, at each stage. Below it: how far the equation"
     " that is most wrong would have to be corrected at every moment. Shaded: where most of the error arises.",
@@ -50,7 +50,7 @@ def simulation_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0
 
     Of more than 1500 samples a window of 300 is shown, around the largest residual before.
     """
-    signals = panels.signals(discovery, arrays, "test", sequence)
+    signals = panels.output_signals(discovery, arrays, "test", sequence)
     if not signals:
         return _empty(discovery, "test")
     start, stop = panels.window(signals)
@@ -77,7 +77,7 @@ def simulation_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0
 
 def disagreement_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0) -> Figure:
     """Residuals of one training sequence at every stage, and the correction that the worst equation needs."""
-    signals = panels.signals(discovery, arrays, "train", sequence)
+    signals = panels.output_signals(discovery, arrays, "train", sequence)
     if not signals:
         return _empty(discovery, "training")
     columns = min(len(signals), 2)
@@ -199,7 +199,7 @@ def shifts_figure(discovery: Discovery) -> Figure:
     line = f"{len(shown)} of {len(rows)} numbers" + (", largest shifts" if len(movable) > len(shown) else "")
     line += ", those that began at zero or are new only in the table" if len(rows) > len(movable) else ""
     figure = _page(discovery, max(1.6, 0.34 * len(shown) + 0.7), line)
-    ax = style.quiet(figure.add_subplot(), x="shift from the value as given (%)")
+    ax = style.quiet(figure.add_subplot(), x="shift from the nominal value (%)")
     ax.set_yticks(range(len(shown)), [style.plain(row.name) for row in shown])
     ax.set_ylim(len(shown) - 0.4, -0.6)
     ax.axvline(0.0, color=style.INK, linewidth=0.8)

@@ -97,7 +97,7 @@ def _cards(discovery: Discovery) -> str:
     items.append(("gap closed", _share(gap.get("closed_fraction")), "by what was found, on test data"))
     network = discovery.get("network")
     if network:
-        note = f"of the prediction; {percent(network.get('share_before'))} with the physics as given"
+        note = f"of the prediction; {percent(network.get('share_before'))} with the nominal physics"
         items.append(("left to the network", _share(network.get("share_after")), note))
     seconds = discovery.get("seconds") or {}
     if seconds:

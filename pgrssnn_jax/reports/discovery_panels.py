@@ -54,7 +54,7 @@ def output(arrays: Arrays, channel: Mapping[str, Any], part: str, sequence: int,
     return Output(str(channel["name"]), str(channel.get("unit") or ""), time, measured, simulated)
 
 
-def signals(discovery: Discovery, arrays: Arrays, part: str, sequence: int) -> list[Output]:
+def output_signals(discovery: Discovery, arrays: Arrays, part: str, sequence: int) -> list[Output]:
     """Every output of one sequence; none where the record is empty."""
     if not np.size(arrays.get(f"y_{part}", ())):
         return []

@@ -6,7 +6,7 @@ import numpy as np
 
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
 from pgrssnn_jax.reports.discovery_page import discovery_page
-from pgrssnn_jax.runs import RunFolder
+from pgrssnn_jax.training.run_folder import RunFolder
 
 _DOTS_PER_INCH = 130
 

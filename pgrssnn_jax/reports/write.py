@@ -13,7 +13,7 @@ from pgrssnn_jax.reports.figures import (
     training_figure,
 )
 from pgrssnn_jax.reports.page import write_page
-from pgrssnn_jax.runs import RunFolder
+from pgrssnn_jax.training.run_folder import RunFolder
 
 _DOTS_PER_INCH = 130
 

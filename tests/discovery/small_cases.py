@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from pgrssnn_jax.discovery.setup import DiscoverySettings
-from pgrssnn_jax.records import Channel, Record, RecordInfo, record
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 PUBLISHED = {"k1": 0.0464, "k2": 0.0003, "k3": 0.0412, "k4": 0.0586, "k5": 0.0039}
 TANKS = RecordInfo((Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), 4.0, "simulated")

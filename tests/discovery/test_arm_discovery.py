@@ -5,17 +5,17 @@ import pytest
 from discovery.small_cases import choices
 
 from benchmarks.hidden.arm_plant import Effects, controlled
-from pgrssnn_jax.datasets.arm_rig import planned
+from pgrssnn_jax.data.arm_simulator import planned
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Start, _stretches
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.arm.arm import arm
-from pgrssnn_jax.physics.arm.tables import ArmTables
-from pgrssnn_jax.physics.arm.urdf import read_urdf
-from pgrssnn_jax.records import Channel, Record, RecordInfo, record
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.arms.tables import ArmTables
+from pgrssnn_jax.physics.arms.urdf import read_urdf
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 pytestmark = pytest.mark.xdist_group("arm discovery")  # one process, one compiled program
 SEQUENCES, SAMPLES, NOISE = 8, 120, 0.002  # rad

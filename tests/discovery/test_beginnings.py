@@ -8,8 +8,8 @@ from pgrssnn_jax.discovery.look import Candidate, Rules, Stage
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.unknown import flexible_problem
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import linear
 
 SAMPLES = 640
 NOISE = np.random.default_rng(0).standard_normal((1, SAMPLES, 1))

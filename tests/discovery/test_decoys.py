@@ -11,9 +11,9 @@ from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.lgssm import linear
-from pgrssnn_jax.records import Channel, Record, RecordInfo, record
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 pytestmark = pytest.mark.xdist_group("decoys")  # one process, one compiled program
 A, B, C = np.array([[0.6, 0.7], [-0.1, 0.0]]), np.array([-1.1, 0.0]), np.array([0.9, -0.1])

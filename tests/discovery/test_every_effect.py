@@ -10,10 +10,10 @@ from benchmarks.hidden import pendulum, suite
 from benchmarks.hidden.suite import Plan
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.look import Rules, look_at
-from pgrssnn_jax.discovery.problem import Problem, build_problem, signals
-from pgrssnn_jax.discovery.prove import fitted_as_given
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.prove import fitted_nominal
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SYSTEMS = ("tanks", "pendulum", "lgssm")
@@ -50,8 +50,8 @@ def look(case, record, draws=199):
     problem = shared(case.system).with_numbers(physics_of(case).params)
     settings, rules = Settings(devices=jax.device_count()), Rules(draws=draws)
     with jax.enable_x64(True):
-        data = signals(problem, record, folds=5, block=32)
-        start = fitted_as_given(problem, data, settings)
+        data = weighted_signals(problem, record, folds=5, block=32)
+        start = fitted_nominal(problem, data, settings)
         return look_at(problem, data, start, settings, rules, np.random.default_rng(0), without=())
 
 

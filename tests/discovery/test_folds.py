@@ -6,9 +6,9 @@ from discovery.small_cases import pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Estimate, Validated
 from pgrssnn_jax.discovery.look import size_and_noise
-from pgrssnn_jax.discovery.problem import ALWAYS, Problem, build_problem, signals
+from pgrssnn_jax.discovery.problem import ALWAYS, Problem, build_problem
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records import Record
+from pgrssnn_jax.records.record import Record
 
 FOLDS, NOISE = 5, 0.05
 
@@ -25,7 +25,7 @@ def sequences(count: int, samples: int) -> Record:
 
 @pytest.mark.parametrize(("count", "samples", "block"), [(60, 30, 30), (20, 64, 32), (12, 144, 32), (1, 1024, 32)])
 def test_every_fold_has_its_part_and_no_sequence_is_spared(problem, count, samples, block):
-    fold = signals(problem, sequences(count, samples), folds=FOLDS, block=block).block
+    fold = weighted_signals(problem, sequences(count, samples), folds=FOLDS, block=block).block
     counted = fold >= 0
     assert np.isin(fold[~counted], ALWAYS).all()
     assert counted.any(1).all()
@@ -36,12 +36,12 @@ def test_every_fold_has_its_part_and_no_sequence_is_spared(problem, count, sampl
 
 def test_sequences_take_turns(problem):
     """12 sequences of 144 samples: five blocks each, as many as folds."""
-    fold = signals(problem, sequences(12, 144), folds=FOLDS, block=32).block
+    fold = weighted_signals(problem, sequences(12, 144), folds=FOLDS, block=32).block
     assert len(set(fold[:, -1])) == FOLDS
 
 
 def test_the_noise_is_that_of_the_samples_that_count(problem):
-    data = signals(problem, sequences(20, 64), folds=FOLDS, block=32)
+    data = weighted_signals(problem, sequences(20, 64), folds=FOLDS, block=32)
     error = NOISE * np.random.default_rng(0).standard_normal(data.y.shape)
     held_out = np.where(data.block[..., None] >= 0, error, 0.0)
     model = Validated(Estimate((), problem.theta, data.start, error), held_out, problem.theta[None])

@@ -8,8 +8,8 @@ from discovery.small_cases import PUBLISHED, pump, tank_record
 from scipy.optimize import least_squares
 
 from pgrssnn_jax.discovery.least_squares import Lanes, _solve, fit, sensitivity, simulate
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, signals
-from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
+from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 TRUE = {"k1": 0.05, "k2": 0.0003, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
@@ -32,7 +32,7 @@ def problem() -> Problem:
 def record() -> Signals:
     whole = tank_record(pump(240, 1), noise=0.0, k=TRUE)
     physics = cascaded_tanks(integrator="rk4")
-    return signals(build_problem(physics, []), whole, folds=3, block=20)
+    return weighted_signals(build_problem(physics, []), whole, folds=3, block=20)
 
 
 def at(problem: Problem, *labels: str) -> list[int]:

@@ -9,7 +9,7 @@ from pgrssnn_jax.discovery.linear import _within, _without_starts
 from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.discovery.stretches import end_to_end, smoothed, stretches
 from pgrssnn_jax.physics.base import Signal, discrete
-from pgrssnn_jax.records import Channel, RecordInfo, record
+from pgrssnn_jax.records.record import Channel, RecordInfo, record
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -91,8 +91,8 @@ def test_a_local_polynomial_finds_position_rate_and_noise():
     assert np.sqrt(np.mean(rate**2)) == pytest.approx(found.rate_error[0], rel=0.4)
 
 
-@pytest.mark.parametrize("reads", ["after_step", "before_step"])
-def test_a_stretch_starts_in_the_state_that_its_first_input_meets(reads):
+@pytest.mark.parametrize("output_timing", ["after_step", "before_step"])
+def test_a_stretch_starts_in_the_state_that_its_first_input_meets(output_timing):
     """A cart under a constant push, sampled before or after it acts."""
     dt, push, time = 0.1, 0.5, 60
 
@@ -101,8 +101,8 @@ def test_a_stretch_starts_in_the_state_that_its_first_input_meets(reads):
 
     states = (Signal("position", "m", like="place"), Signal("speed", "m/s", rate_of="place"))
     cart = discrete("cart", step, lambda p, x, u: x[:1], {"mass": 1.0}, states=states, inputs=(Signal("push", "N"),),
-                    outputs=(Signal("place", "m"),), dt=dt, reads=reads)  # fmt: skip
-    t = dt * (np.arange(time) + (reads == "after_step"))
+                    outputs=(Signal("place", "m"),), dt=dt, output_timing=output_timing)  # fmt: skip
+    t = dt * (np.arange(time) + (output_timing == "after_step"))
     y = (1.0 + 0.3 * t + 0.5 * push * t**2)[:, None]
     info = RecordInfo((Channel("push", "N"),), (Channel("place", "m"),), dt, "simulated")
     found = stretches(build_problem(cart, ()), record(np.full((time, 1), push), y, info), 20, folds=2, at_rest=False)

@@ -7,7 +7,7 @@ from pgrssnn_jax.discovery.estimate import Estimate, Guess, Validated
 from pgrssnn_jax.discovery.look import Candidate, Rules, Stage, _best_of_each
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.search import _chosen, _Judge
-from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SAMPLES = 640

@@ -9,16 +9,16 @@ from discovery.small_cases import choices, fine_tanks, pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Settings, fit_all
 from pgrssnn_jax.discovery.look import look_at
-from pgrssnn_jax.discovery.problem import build_problem, signals
-from pgrssnn_jax.discovery.prove import fitted_as_given
+from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import discover_in
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records import Channel, Record, RecordInfo, record
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 TRUE = {"k1": 0.049, "k2": 0.0003, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
 
@@ -38,8 +38,8 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else():
     )
     for hidden, name, numbers in cases:
         with jax.enable_x64(True):
-            data = signals(problem, tank_record(u, k=TRUE, **hidden), folds=3, block=20)
-            start = fitted_as_given(problem, data, settings)
+            data = weighted_signals(problem, tank_record(u, k=TRUE, **hidden), folds=3, block=20)
+            start = fitted_nominal(problem, data, settings)
             examine = partial(
                 look_at, problem, data, settings=settings, rules=rules, rng=np.random.default_rng(0), without=()
             )

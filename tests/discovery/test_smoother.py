@@ -7,7 +7,7 @@ from discovery.small_cases import pump, tank_record
 
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.locate import clear, intervals
-from pgrssnn_jax.discovery.problem import build_problem, signals
+from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.discovery.smoother import smoothed_correction
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -25,7 +25,7 @@ def pulsed(size: float):
     u = pump(SAMPLES, 4, low=1.5, high=3.5)
     push = np.where((np.arange(SAMPLES) >= BEGIN) & (np.arange(SAMPLES) < END), size, 0.0)
     problem = build_problem(cascaded_tanks(integrator="rk4"), [])
-    record = signals(problem, tank_record(u, NOISE, push=push), folds=3, block=20)
+    record = weighted_signals(problem, tank_record(u, NOISE, push=push), folds=3, block=20)
     start = np.array([[4.0, 4.0]])
     y, x = simulate(problem, record.u, problem.theta[None], start[None])
     error = record.weight * (record.y - y[0])
@@ -51,7 +51,7 @@ def test_the_equation_of_a_pulse_is_the_likeliest():
 
 def test_noise_alone_needs_no_correction():
     problem = build_problem(cascaded_tanks(integrator="rk4"), [])
-    record = signals(problem, tank_record(pump(SAMPLES, 4), NOISE), folds=3, block=20)
+    record = weighted_signals(problem, tank_record(pump(SAMPLES, 4), NOISE), folds=3, block=20)
     start = np.array([[4.0, 4.0]])
     y, x = simulate(problem, record.u, problem.theta[None], start[None])
     noise = NOISE * float(record.weight.max())

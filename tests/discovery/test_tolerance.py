@@ -1,4 +1,4 @@
-"""Numbers that are known to within a tolerance: fits against SciPy with what was given as further residuals."""
+"""Numbers that are known by a prior: fits against SciPy with what was given as further residuals."""
 
 from dataclasses import replace
 
@@ -10,9 +10,9 @@ from scipy.optimize import least_squares
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.null import Added, what_is_added
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, signals
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 TRUE = {"k1": 0.05, "k2": 0.0009, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
@@ -30,7 +30,7 @@ def problem() -> Problem:
 
 @pytest.fixture(scope="module")
 def record(problem: Problem) -> Signals:
-    return signals(problem, tank_record(pump(240, 1), noise=0.05, k=TRUE), folds=3, block=20)
+    return weighted_signals(problem, tank_record(pump(240, 1), noise=0.05, k=TRUE), folds=3, block=20)
 
 
 def own(problem: Problem) -> np.ndarray:

@@ -10,7 +10,7 @@ from pgrssnn_jax.discovery.look import Candidate, Rules, Stage
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.search import Found
 from pgrssnn_jax.discovery.verdict import Verdict, judge
-from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SAMPLES, NAME = 640, "bypass"

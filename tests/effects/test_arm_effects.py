@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from toys import quick_jit
 
 from pgrssnn_jax.effects.arm import arm_effects
-from pgrssnn_jax.effects.base import Effect, Reach, add
-from pgrssnn_jax.physics.arm.arm import arm
-from pgrssnn_jax.physics.arm.tables import described, pinocchio_model
+from pgrssnn_jax.effects.base import Effect, SignalRange, add
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
 from pgrssnn_jax.physics.base import Physics, check_physics
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -278,10 +278,10 @@ def crane(tmp_path) -> Physics:
     return arm(urdf=file)
 
 
-def reach_of(physics: Physics) -> Reach:
+def signal_range_of(physics: Physics) -> SignalRange:
     draw = np.random.default_rng(0)
     x, u = (np.sort(draw.normal(size=(2, len(s))), 0) for s in (physics.states, physics.inputs))
-    return Reach(x, u, x[:, : len(u[0])])
+    return SignalRange(x, u, x[:, : len(u[0])])
 
 
 def test_any_arm_takes_its_effects(crane):
@@ -294,7 +294,7 @@ def test_any_arm_takes_its_effects(crane):
 def test_fits_start_from_numbers_that_an_effect_may_have(name, crane):
     for physics in (arm(), crane):
         for one in (e for e in arm_effects(physics) if e.name == name):
-            starts = one.starts(reach_of(physics))
+            starts = one.initial_guesses(signal_range_of(physics))
             assert starts
             for start in starts:
                 add(physics, one, numbers={name: start})

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from toys import quick_jit, toy_physics
 
-from pgrssnn_jax.effects.base import Effect, Reach, add
-from pgrssnn_jax.effects.catalogue import catalogue
+from pgrssnn_jax.effects.base import Effect, SignalRange, add
+from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, check_physics, continuous
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -44,10 +44,10 @@ def effect(system: str, name: str) -> Effect:
     return next(e for e in catalogue(SYSTEMS[system]()) if e.name == name)
 
 
-def reach_of(physics: Physics) -> Reach:
+def signal_range_of(physics: Physics) -> SignalRange:
     draw = np.random.default_rng(0)
     sizes = [len(s) for s in (physics.states, physics.inputs, physics.outputs)]
-    return Reach(*(np.sort(draw.uniform(0.0, 5.0, (2, n)), 0) for n in sizes))
+    return SignalRange(*(np.sort(draw.uniform(0.0, 5.0, (2, n)), 0) for n in sizes))
 
 
 @cache
@@ -104,7 +104,7 @@ def test_the_numbers_of_an_effect_are_what_it_says(system, name):
         assert meaning.neutral is not None
         assert low <= meaning.neutral <= high
         assert np.all(whole.params[name][key] == meaning.neutral)
-    starts = one.starts(reach_of(physics))
+    starts = one.initial_guesses(signal_range_of(physics))
     assert starts
     for start in starts:
         assert set(start) == set(one.parameters)
@@ -118,8 +118,8 @@ def test_the_numbers_of_an_effect_are_what_it_says(system, name):
 @pytest.mark.parametrize(("system", "name"), EVERY)
 def test_starting_numbers_change_something(system, name):
     physics, one = SYSTEMS[system](), effect(system, name)
-    draw, reach = np.random.default_rng(2), reach_of(physics)
-    for start in one.starts(reach):
+    draw, reach = np.random.default_rng(2), signal_range_of(physics)
+    for start in one.initial_guesses(reach):
         changed = add(physics, one, numbers={name: start})
         x = draw.uniform(-3.0, 9.0, (200, len(changed.states)))
         u = draw.uniform(-1.0, 6.0, (200, len(physics.inputs)))

@@ -7,7 +7,7 @@ import pytest
 from discovery.small_cases import fine_tanks, pump
 from toys import quick_jit
 
-from pgrssnn_jax.effects.base import Effect, Reach, add
+from pgrssnn_jax.effects.base import Effect, SignalRange, add
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -134,8 +134,8 @@ def test_a_bypass_takes_from_the_upper_tank_what_it_gives_to_the_lower():
 @pytest.mark.parametrize("name", NAMES)
 def test_empty_tanks_have_finite_derivatives(name):
     one = effect(name)
-    reach = Reach(np.array([[1.0, 1.0], [6.0, 6.0]]), np.array([[0.0], [5.0]]), np.array([[1.0], [6.0]]))
-    for numbers in (one.neutral(), *one.starts(reach)):
+    reach = SignalRange(np.array([[1.0, 1.0], [6.0, 6.0]]), np.array([[0.0], [5.0]]), np.array([[1.0], [6.0]]))
+    for numbers in (one.neutral(), *one.initial_guesses(reach)):
         physics = add(tanks(), one, numbers={name: numbers})
         found = jax.jacfwd(physics.step, (0, 1))(physics.params, jnp.zeros(2), jnp.zeros(1))
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.physics.base import Parameter, Signal, check_physics, continuous, discrete, is_parameter
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SIGNALS = {"states": (Signal("x"),), "inputs": (Signal("u"),), "outputs": (Signal("y"),)}
@@ -44,10 +44,10 @@ def test_parameter_tree_has_the_shape_of_the_numbers(physics):
 
 
 def test_discrete_takes_functions_and_numbers_as_they_are():
-    physics = discrete("d", decay, read, {"rate": 0.5}, dt=2.0, reads="before_step", **SIGNALS)
+    physics = discrete("d", decay, read, {"rate": 0.5}, dt=2.0, output_timing="before_step", **SIGNALS)
     assert physics.params == {"rate": 0.5}
     assert (physics.dt, type(physics.dt)) == (2.0, float)
-    assert physics.reads == "before_step"
+    assert physics.output_timing == "before_step"
     x = physics.step(physics.params, jnp.ones(1), jnp.full(1, 3.0))
     np.testing.assert_allclose(x, [2.5])
     np.testing.assert_allclose(physics.measure(physics.params, x, x), [2.5])

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from pgrssnn_jax.model import ModelParams, build_model
-from pgrssnn_jax.networks import ModelSpec
-from pgrssnn_jax.physics.lgssm import linear
-from pgrssnn_jax.rollout import rollout
-from pgrssnn_jax.scaling import Scaling, identity
+from pgrssnn_jax.models.model import ModelParams, build_model
+from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.records.scaling import Scaling, identity
 
 PUBLISHED = {"A": [[0.7, 0.8], [0.0, 0.1]], "B": [[-1.0], [0.1]], "C": [[1.0, 0.0]]}
 WIDE = {
@@ -63,7 +63,7 @@ def test_signals_are_named_and_every_matrix_means_something():
     assert [s.name for s in physics.states] == ["x1", "x2", "x3"]
     assert [s.name for s in physics.inputs] == ["f", "g"]
     assert [s.name for s in physics.outputs] == ["p", "q"]
-    assert (physics.dt, physics.reads) == (0.1, "after_step")
+    assert (physics.dt, physics.output_timing) == (0.1, "after_step")
     assert {name: meaning.symbol for name, meaning in physics.parameters.items()} == {n: n for n in "ABC"}
 
 

@@ -7,12 +7,12 @@ import pytest
 import scipy.integrate
 from jax.test_util import check_grads
 
-from pgrssnn_jax import metrics
-from pgrssnn_jax.model import ModelParams, build_model
-from pgrssnn_jax.networks import ModelSpec
+from pgrssnn_jax.models.model import ModelParams, build_model
+from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.physics.tanks import cascaded_tanks, clamped, derivative, measure, safe_sqrt
-from pgrssnn_jax.rollout import rollout
-from pgrssnn_jax.scaling import Scaling, identity
+from pgrssnn_jax.records.scaling import Scaling, identity
+from pgrssnn_jax.training import metrics
 
 K = {"k1": 0.0464, "k2": 0.0003, "k3": 0.0412, "k4": 0.0586, "k5": 0.0039}
 
@@ -48,7 +48,7 @@ def test_published_step_is_forward_euler_over_four_seconds():
     found = physics.step(physics.params, jnp.asarray(x), jnp.full(1, u))
     np.testing.assert_allclose(found, x + 4.0 * slope_by_hand(x, u), rtol=1e-14)
     np.testing.assert_array_equal(physics.measure(physics.params, found, jnp.full(1, u)), found[1:])
-    assert (physics.dt, physics.params, physics.reads) == (4.0, K, "after_step")
+    assert (physics.dt, physics.params, physics.output_timing) == (4.0, K, "after_step")
 
 
 @pytest.mark.usefixtures("x64")

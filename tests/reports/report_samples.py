@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from pgrssnn_jax import metrics as merits
+from pgrssnn_jax.training import metrics as merits
 
 
 class Run(NamedTuple):

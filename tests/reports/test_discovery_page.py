@@ -10,14 +10,14 @@ from discovery_samples import ARM, SAD, TANK, bare_discovery
 from rich.console import Console
 from test_report_page import Reader
 
-from pgrssnn_jax.effects.catalogue import catalogue
-from pgrssnn_jax.physics.arm.arm import arm
-from pgrssnn_jax.physics.lgssm import linear
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.reports import discovery_summary as summary
 from pgrssnn_jax.reports.discovery_page import discovery_page
 from pgrssnn_jax.reports.discovery_write import write_discovery_report
-from pgrssnn_jax.runs import RunFolder
+from pgrssnn_jax.training.run_folder import RunFolder
 
 EVIL = "<script>alert(1)</script>\"'&"
 ENVIRONMENT = {"commit": "0123abcd", "command": "python discover.py", "packages": {"jax": "0.10.2"}}

@@ -17,7 +17,7 @@ from pgrssnn_jax.reports.page import write_page
 from pgrssnn_jax.reports.poses import floor_lines, project, read_poses, set_stage
 from pgrssnn_jax.reports.stick import distance_text, stick_figure
 from pgrssnn_jax.reports.write import write_report
-from pgrssnn_jax.runs import RunFolder
+from pgrssnn_jax.training.run_folder import RunFolder
 
 
 def sample(samples: int = 60, sequences: int = 2, **changes) -> Run:

@@ -1,0 +1,235 @@
+"""Running the jobs of a sweep: what the process that was started does, and what each job does, wherever it runs.
+
+    overrides -> names -> what is finished or cannot be is left out -> launcher -> jobs -> table
+
+A job never raises, whatever goes wrong in it: it returns an `JobResult`, which every launcher carries home.
+"""
+
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.types import Override
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.errors import HydraException
+from hydra.plugins.launcher import Launcher
+from hydra.types import HydraContext
+from omegaconf import DictConfig, open_dict
+from omegaconf.errors import OmegaConfBaseException
+from rich.console import Console
+
+from pgrssnn_jax.cli.entry import BAD_INPUT, Interrupted, say, usable_cores
+from pgrssnn_jax.cli.plan import plain
+from pgrssnn_jax.cli.resume import override
+from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
+from pgrssnn_jax.training.run_folder import RunFolder, short_path
+from pgrssnn_jax.training.run_lock import held
+
+
+class Job(NamedTuple):
+    """One job of a sweep: what Hydra composes it from, and where it leaves its run."""
+
+    overrides: list[str]
+    folder: Path
+
+
+class Sweep(NamedTuple):
+    """What Hydra hands to a sweeper; config: as composed without what is swept."""
+
+    config: DictConfig
+    context: HydraContext
+    launcher: Launcher
+    batch_size: int | None
+
+
+def run_sweep(sweep: Sweep, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
+    """Runs the jobs that are not finished, shows how all ended, and exits with code 2 when one failed.
+
+    parsed: the overrides of the whole sweep; combinations: those of each job.
+    """
+    console = Console(highlight=False)
+    try:
+        spelled = name_sweep(parsed, sweep.config)
+    except ValueError as problem:
+        sys.exit(say(str(problem)))
+    folder = Path(sweep.config.hydra.sweep.dir).absolute()
+    jobs = {job.folder: job for job in (_job(overrides, spelled, folder) for overrides in combinations)}
+    known = {path: _beforehand(job, sweep) for path, job in jobs.items()}
+    outcomes = {path: outcome for path, outcome in known.items() if outcome is not None}
+    for outcome in outcomes.values():
+        console.print(f"{outcome.status}: {short_path(outcome.folder)} {outcome.reason}".rstrip(), soft_wrap=True)
+    waiting = [job for path, job in jobs.items() if path not in outcomes]
+    returns: list[JobReturn] = []
+    size = sweep.batch_size or max(1, len(waiting))
+    for start in range(0, len(waiting), size):
+        batch = waiting[start : start + size]
+        with launcher_env(sweep.config, len(batch)):
+            returned, problem = _launched(sweep.launcher, batch, start)
+        returns += returned
+        for job, back in zip(batch, returned or [None] * len(batch), strict=True):
+            outcomes[job.folder] = _outcome(job, back, problem)
+    console.print(result_table([outcomes[path] for path in jobs], folder))
+    if any(outcome.status == "failed" for outcome in outcomes.values()):
+        sys.exit(BAD_INPUT)
+    return returns
+
+
+def name_sweep(parsed: Sequence[Override], config: DictConfig) -> set[str]:
+    """Names the sweep in `config` where nobody has, by its experiment and its budget; returns the keys that the name
+    of its folder spells, which the names of the jobs need not repeat. Raises `ValueError` for what no sweep can have.
+    """
+    swept = {override.key_or_group for override in parsed if override.is_sweep_override()}
+    if "resume" in swept or config.get("resume"):
+        raise ValueError("resume: expected none in a sweep, which goes on when its command is given again")
+    if "sweep" in swept:
+        raise ValueError("sweep: expected one name, found several")
+    if config.sweep:
+        return set()
+    choices = config.hydra.runtime.choices
+    named = {"experiment", "budget"} - swept
+    name = (choices.get("experiment") if "experiment" in named else None) or "sweep"
+    if "budget" in named and config.get("budget"):
+        name = f"{name}_{choices['budget']}"
+    config.sweep = content_name([name])
+    return named if str(config.hydra.sweep.dir).endswith(config.sweep) else set()
+
+
+def _job(overrides: Sequence[str], spelled: set[str], folder: Path) -> Job:
+    name = content_name([text for text in overrides if key_of(text) not in {*spelled, "sweep"}])
+    there = [override("hydra.sweep.dir", str(folder)), override("hydra.sweep.subdir", name)]
+    return Job([*overrides, *there], folder / name)
+
+
+def key_of(text: str) -> str:
+    return text.split("=")[0].lstrip("+~")
+
+
+def _beforehand(job: Job, sweep: Sweep) -> JobResult | None:
+    """How a job ends that need not be launched: it is finished, or its configuration does not do."""
+    run = RunFolder(job.folder)
+    try:
+        config = sweep.context.config_loader.load_sweep_config(sweep.config, list(job.overrides))
+        own = {key_of(name) for name in config.hydra.sweeper.params or {}} - {key_of(text) for text in job.overrides}
+        if own:
+            raise ValueError(
+                f"experiment={config.hydra.runtime.choices.get('experiment')}: expected alone, because it is a sweep "
+                f"over {', '.join(sorted(own))} itself, found among others"
+            )
+        with open_dict(config):
+            del config["hydra"]
+        finished = job_status(run, plain(config)) is JobProgress.FINISHED
+    except (ValueError, HydraException, OmegaConfBaseException) as problem:
+        return _failed(run, _sentence(problem))
+    return JobResult(run.path, "skipped") if finished else None
+
+
+def _launched(launcher: Launcher, batch: Sequence[Job], start: int) -> tuple[list[JobReturn], str]:
+    """What came back, or nothing and why: a launcher gives up when one of its processes is killed."""
+    try:
+        return list(launcher.launch([job.overrides for job in batch], initial_job_idx=start)), ""
+    except Exception as problem:
+        return [], f"{type(problem).__name__}: {_sentence(problem)}"
+
+
+def _outcome(job: Job, back: JobReturn | None, problem: str) -> JobResult:
+    if back is not None and back.status is JobStatus.COMPLETED and isinstance(back.return_value, JobResult):
+        return back.return_value
+    run = RunFolder(job.folder)
+    if run.finished:
+        return JobResult(run.path, "finished")
+    reason = run.failure or f"no result came back ({problem or 'the job ended too early'}); give the command again"
+    return JobResult(run.path, "failed", reason)
+
+
+def run_job(
+    prepare: Callable[[Any], Callable[[threading.Event], None]], config: Any, stop: threading.Event
+) -> JobResult:
+    """One job of a sweep, in the folder that Hydra names: skipped, gone on with, or begun.
+
+    Raises `Interrupted` when stopped, and nothing else.
+    """
+    run, started = RunFolder(Path(HydraConfig.get().runtime.output_dir)), time.perf_counter()
+    console = Console(highlight=False)
+
+    def show(line: str) -> None:
+        console.print(line, soft_wrap=True)
+
+    with held(run.path, stop, show):
+        _unless(stop)
+        try:
+            there = job_status(run, plain(config))
+        except ValueError as problem:
+            return _failed(run, str(problem))
+        if there is JobProgress.FINISHED:
+            return JobResult(run.path, "skipped")
+        run.forget_failure()
+        if there is JobProgress.BEGUN:
+            config.resume = str(run.path)
+        show(f"{'going on with' if there is JobProgress.BEGUN else 'beginning'} {short_path(run.path)}")
+        work = None
+        try:
+            work = prepare(config)
+            _unless(stop)
+            work(stop)
+        except Interrupted:
+            raise
+        except (Exception, SystemExit) as problem:  # a user's physics may do anything
+            foreseen = work is None and isinstance(problem, ValueError)
+            reason = str(problem) if foreseen else f"{type(problem).__name__}: {_sentence(problem)}; see traceback.txt"
+            show(f"failed: {short_path(run.path)}: {reason}")
+            return _failed(run, reason, None if foreseen else traceback.format_exc(), time.perf_counter() - started)
+        return JobResult(run.path, "finished", seconds=time.perf_counter() - started)
+
+
+def _unless(stop: threading.Event) -> None:
+    if stop.is_set():
+        raise Interrupted("stopped; the same command goes on with the sweep")
+
+
+def _failed(run: RunFolder, reason: str, trace: str | None = None, seconds: float = 0.0) -> JobResult:
+    """Leaves the reason in the folder, but for a finished run, which stays what it is."""
+    if not run.finished:
+        run.fail(reason, trace)
+    return JobResult(run.path, "failed", reason, seconds)
+
+
+def _sentence(problem: BaseException) -> str:
+    for each in (problem, problem.__cause__):
+        if each is not None and str(each).strip():
+            return str(each).strip().splitlines()[0]
+    return type(problem).__name__
+
+
+@contextmanager
+def launcher_env(config: DictConfig, jobs: int) -> Iterator[None]:
+    """What the processes of a launcher on this machine inherit: their share of the cores, plain lines instead of
+    progress bars, and where Hydra finds this package's sweeper. The user's own settings win."""
+    workers = {"basic": 0, "joblib": config.hydra.launcher.get("n_jobs"), "submitit_local": jobs}.get(
+        str(config.hydra.runtime.choices.get("hydra/launcher"))
+    )
+    changed: dict[str, str] = {}
+    if workers:
+        cores = usable_cores()
+        at_once = min(jobs, workers if workers > 0 else max(1, cores + 1 + workers))
+        share = str(max(1, cores // at_once))
+        changed = {"JAX_NUM_CPU_DEVICES": share, "NPROC": share, "TTY_COMPATIBLE": "0"}
+    if workers != 0:
+        here = str(Path(__file__).resolve().parent.parent)
+        changed["PYTHONPATH"] = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
+    before = {name: os.environ.get(name) for name in changed}
+    os.environ.update({name: value for name, value in changed.items() if name == "PYTHONPATH" or not before[name]})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,214 @@
+"""The KUKA KR300 arm: measured sequences, and the published simulated ones. u: motor torque, Nm; y: position, rad.
+
+    load_robot_real        60, 6 and 6 sequences of 605 samples, 10 Hz; one dataset
+    load_robot_simulated   60, 6 and 6 sequences of 606 samples, 10 Hz; every realisation is a dataset, all share u
+
+Every sequence starts at rest at q = 0. Where neither a file nor, for the measured arm, a download can be had, an arm
+is simulated with the unknown effects of the published one (`arm_rig.py`); position noise 0.1 rad, or, in place of the
+measured arm, an encoder's 1e-4 rad.
+Source: Weigand, Götz, Ulmen, Ruskowski, industrial robot identification benchmark; Li, Seth, Kok, IFAC 2026.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.data.arm_simulator import JOINTS, SAMPLE_TIME, ArmSimulator, simulated_arm
+from pgrssnn_jax.data.download import download_robot
+from pgrssnn_jax.data.mat import Sequences, read_mat
+from pgrssnn_jax.data.sources import (
+    VARIABLE,
+    channels,
+    check_count,
+    data_folder,
+    fingerprint,
+    published_folder,
+    say_nothing,
+)
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.record import Record, RecordInfo, Splits, record, stack
+
+REAL_SAMPLES, SIMULATED_SAMPLES = 605, 606
+_REAL_FILE = "robot_real/forward_identification_without_raw_data_shifted.mat"
+_SIMULATED_FOLDER = "robot_simulated"
+_SIMULATED_FILE = "1010m_vary_sim_position_noiseTorque{}.mat"
+_SPLIT = (60, 6, 6)
+_ENCODER = 1e-4  # rad
+
+
+class _Found(NamedTuple):
+    """train, validation, test: one for every dataset; origin: in words."""
+
+    train: list[Sequences]
+    validation: list[Sequences]
+    test: list[Sequences]
+    source: str
+    origin: str
+
+
+class _Less(NamedTuple):
+    """Sequences of each part and samples of every sequence; None: all."""
+
+    train: int | None
+    validation: int | None
+    test: int | None
+    samples: int | None
+
+
+def load_robot_real(
+    *,
+    path: str | Path | None = None,
+    generated: bool = False,
+    n_train: int | None = None,
+    n_validation: int | None = None,
+    n_test: int | None = None,
+    n_samples: int | None = None,
+    seed: int = 0,
+    physics: Physics,
+    notify: Callable[[str], None] = say_nothing,
+    timeout: float = 60.0,
+) -> Splits:
+    """The three records, each `[1, seq, time, 6]`; `info` says where they come from.
+
+    path: MAT file; None looks in PGRSSNN_DATA, then downloads, then simulates an arm. n_train, n_validation, n_test:
+    sequences from the front; n_samples: of each, from its start; None: all. generated: simulate in any case. seed: of
+    the simulated arm. notify: takes one line about each source that was passed over. timeout: s that a download may
+    take. Raises `ValueError` for a bad file, for another physics than one of six joints at 10 Hz, and for more than
+    there is.
+    """
+    _check(physics, seed, generated and path is not None, "a file")
+    found = _simulated_real(seed) if generated else _find_real(path, seed, notify, timeout)
+    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics)
+
+
+def load_robot_simulated(
+    *,
+    path: str | Path | None = None,
+    generated: bool = False,
+    realisations: int = 10,
+    n_train: int | None = None,
+    n_validation: int | None = None,
+    n_test: int | None = None,
+    n_samples: int | None = None,
+    seed: int = 0,
+    physics: Physics,
+    notify: Callable[[str], None] = say_nothing,
+) -> Splits:
+    """The three records, each `[realisation, seq, time, 6]`.
+
+    path: folder of the published files; None: `robot_simulated` under PGRSSNN_DATA, or, without that, generated data.
+    The rest as for `load_robot_real`.
+    """
+    _check(physics, seed, generated and path is not None, "a folder")
+    check_count("data.realisations", realisations, 1, 1000, "datasets")
+    folder = None if generated else published_folder(_SIMULATED_FOLDER, path, seed, notify)
+    if folder is None:
+        found = _simulated(seed, SIMULATED_SAMPLES, realisations, ArmSimulator(), f"generated, seed {seed}")
+    else:
+        found = _read(folder, realisations)
+    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics)
+
+
+def _check(physics: Physics, seed: int, contradiction: bool, what: str) -> None:
+    if contradiction:
+        raise ValueError(f"data.generated: expected false where data.path names {what}, found true")
+    check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
+    sizes = len(physics.inputs), len(physics.outputs)
+    if sizes != (JOINTS, JOINTS):
+        raise ValueError(
+            f"physics: expected {JOINTS} inputs and {JOINTS} outputs, the joints of the arm in these data, "
+            f"found {sizes[0]} and {sizes[1]}"
+        )
+    if not math.isclose(physics.dt, SAMPLE_TIME, rel_tol=0.01):
+        raise ValueError(
+            f"physics.dt: expected {SAMPLE_TIME:g} s, the sample time of the arm's data, found {physics.dt:g} s"
+        )
+
+
+def _find_real(path: str | Path | None, seed: int, notify: Callable[[str], None], timeout: float) -> _Found:
+    folder = data_folder() if path is None else None
+    if path is None and folder is not None:
+        if (folder / _REAL_FILE).exists():
+            path = folder / _REAL_FILE
+        else:
+            notify(f"data: {VARIABLE}: no {_REAL_FILE} in that folder, trying a download instead")
+    if path is not None:
+        train, validation, test, digest = read_mat(path, JOINTS, REAL_SAMPLES)
+        return _Found([train], [validation], [test], "file", f"{Path(path).name}, sha256 {digest}…")
+    try:
+        return _downloaded(timeout)
+    except ConnectionError as reason:
+        notify(
+            f"data: NO MEASURED DATA, USING A SIMULATED ARM (seed {seed}): the download failed ({reason}); "
+            f"for measured data set data.path=FILE.mat or {VARIABLE}"
+        )
+        return _simulated_real(seed)
+
+
+def _downloaded(timeout: float) -> _Found:
+    """Split as published: the last 6 training sequences (at most half) validate, the first 60 of the others train."""
+    train, test = download_robot(timeout)
+    if len(train) < 2:
+        raise ConnectionError(f"expected at least two training sequences, found {len(train)}")
+    most, last, tested = _SPLIT
+    rest = len(train) - min(last, len(train) // 2)
+    fitted, validated, held_out = (_aligned(part) for part in (train[: min(most, rest)], train[rest:], test[:tested]))
+    return _Found([fitted], [validated], [held_out], "download", "package nonlinear_benchmarks")
+
+
+def _aligned(part: Float[np.ndarray, "seq time 12"]) -> Sequences:
+    """u_t with what was measured a sample later, as published."""
+    return Sequences(part[:, :-1, :JOINTS], np.deg2rad(part[:, 1:, JOINTS:]))
+
+
+def _read(folder: Path, realisations: int) -> _Found:
+    files = [read_mat(folder / _SIMULATED_FILE.format(i), JOINTS, SIMULATED_SAMPLES) for i in range(realisations)]
+    sizes = [tuple(len(part.u) for part in (file.train, file.validation, file.test)) for file in files]
+    for i, size in enumerate(sizes):
+        if size != sizes[0]:
+            file, first = folder / _SIMULATED_FILE.format(i), _SIMULATED_FILE.format(0)
+            raise ValueError(f"{file}: sequences: expected {sizes[0]} (train, val, test), as {first}, found {size}")
+    together = fingerprint("".join(file.digest for file in files).encode())
+    origin = f"{_SIMULATED_FILE.format(f'0..{realisations - 1}')}, sha256 of their digests {together}…"
+    train, validation, test, _ = (list(part) for part in zip(*files, strict=True))
+    return _Found(train, validation, test, "file", origin)
+
+
+def _simulated_real(seed: int) -> _Found:
+    return _simulated(seed, REAL_SAMPLES, 1, ArmSimulator(noise=_ENCODER), f"built-in simulated arm, seed {seed}")
+
+
+def _simulated(seed: int, samples: int, realisations: int, simulator: ArmSimulator, origin: str) -> _Found:
+    u, _, y = simulated_arm(seed, sum(_SPLIT), samples, realisations, simulator)
+    ends = np.cumsum((0, *_SPLIT))
+    train, validation, test = ([Sequences(u[a:b], one[a:b]) for one in y] for a, b in itertools.pairwise(ends))
+    return _Found(train, validation, test, "simulated", origin)
+
+
+def _splits(found: _Found, less: _Less, physics: Physics) -> Splits:
+    inputs, outputs = channels(physics.inputs), channels(physics.outputs)
+    info = RecordInfo(inputs, outputs, physics.dt, found.source, found.origin)
+    longest = found.train[0].u.shape[1]
+    samples = _count("data.n_samples", less.samples, longest, f"samples per sequence in {found.origin}")
+
+    def part(name: str, sequences: list[Sequences], wanted: int | None) -> Record:
+        count = _count(f"data.n_{name}", wanted, len(sequences[0].u), f"{name} sequences in {found.origin}")
+        return stack([record(u[:count, :samples], y[:count, :samples], info) for u, y in sequences])
+
+    return Splits(
+        part("train", found.train, less.train),
+        part("validation", found.validation, less.validation),
+        part("test", found.test, less.test),
+    )
+
+
+def _count(name: str, wanted: int | None, most: int, what: str) -> int:
+    if wanted is None:
+        return most
+    check_count(name, wanted, 1, most, what)
+    return wanted

@@ -1,0 +1,133 @@
+"""The cascaded-tanks benchmark: from a file, else from a download, else from a simulated plant, split as published.
+
+    train        first 768 of the 1024 samples of the estimation record
+    validation   last 256 of them
+    test         the second record, 1024 samples; it starts at the same, unknown levels as the first
+
+u: pump voltage, V; y: level voltage of the lower tank, V; one sample every 4 s. A file has the columns uEst, uVal,
+yEst, yVal and Ts (s; on the first row).
+Source: Schoukens and Noël, Cascaded Tanks benchmark combining soft and hard nonlinearities, 2016.
+"""
+
+import hashlib
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.data.download import download_tanks
+from pgrssnn_jax.data.sources import VARIABLE, check_count, data_folder, say_nothing
+from pgrssnn_jax.data.tank_simulator import SAMPLE_TIME, estimation_and_test
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.record import Channel, RecordInfo, Splits, crop, record, stack
+from pgrssnn_jax.records.table import column, numbers, problem, read_table
+
+_FILE = "cascaded_tanks/dataBenchmark.csv"
+_COLUMNS = ("uEst", "uVal", "yEst", "yVal")
+_PUBLISHED = "c28ec4bde8563e8f8827561dd07b85941e45cb96326f4249a04823ed4c9f00dd"
+
+
+class _Found(NamedTuple):
+    """columns: u_est, u_test, y_est, y_test; origin: in words."""
+
+    columns: Float[np.ndarray, "time 4"]
+    source: str
+    origin: str
+
+
+def load_cascaded_tank(
+    *,
+    path: str | Path | None = None,
+    n_train: int | None = None,
+    n_validation: int = 256,
+    generated: bool = False,
+    seed: int = 0,
+    physics: Physics,
+    notify: Callable[[str], None] = say_nothing,
+    timeout: float = 30.0,
+) -> Splits:
+    """The three records, each `[1, 1, time, 1]`; `info` says where they come from.
+
+    path: the file; None looks in PGRSSNN_DATA, then downloads, then simulates a plant. n_train: samples from the front,
+    None: all that are not for validation. generated: simulate in any case. seed: of the simulated plant. notify: takes
+    one line about each source that was passed over. timeout: s that a download may take. Raises `ValueError` for a
+    bad file, for another sample time than that of `physics`, and for more samples than there are.
+    """
+    if generated and path is not None:
+        raise ValueError("data.generated: expected false where data.path names a file, found true")
+    check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
+    found = _simulated(physics, seed) if generated else _find(path, physics, seed, notify, timeout)
+    check_count("data.n_validation", n_validation, 1, len(found.columns) - 1, f"samples in {found.origin}")
+    rest = len(found.columns) - n_validation
+    n_train = rest if n_train is None else n_train
+    check_count("data.n_train", n_train, 1, rest, f"samples before the {n_validation} for validation")
+    info = RecordInfo(
+        (Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), physics.dt, found.source, found.origin
+    )
+    estimation, test = (record(found.columns[:, [i]], found.columns[:, [i + 2]], info) for i in range(2))
+    parts = (crop(estimation, 0, n_train), crop(estimation, rest, rest + n_validation), test)
+    return Splits(*(stack([part]) for part in parts))
+
+
+def _find(
+    path: str | Path | None, physics: Physics, seed: int, notify: Callable[[str], None], timeout: float
+) -> _Found:
+    folder = data_folder() if path is None else None
+    if path is None and folder is not None:
+        if (folder / _FILE).exists():
+            path = folder / _FILE
+        else:
+            notify(f"data: {VARIABLE}: no {_FILE} in that folder, trying a download instead")
+    if path is not None:
+        return _read(path, physics.dt)
+    try:
+        columns, dt = download_tanks(timeout)
+    except ConnectionError as reason:
+        found = _simulated(physics, seed)
+        notify(
+            f"data: NO MEASURED DATA, USING A SIMULATED TWO-TANK PLANT (seed {seed}): the download failed ({reason}); "
+            f"for measured data set data.path=FILE.csv or {VARIABLE}"
+        )
+        return found
+    _check_sample_time(physics, dt, "the downloaded data")
+    return _Found(columns, "download", f"package nonlinear_benchmarks, {_verdict(columns)}")
+
+
+def _read(path: str | Path, dt: float) -> _Found:
+    table = read_table(path)
+    for name in (*_COLUMNS, "Ts"):
+        column(table, name)
+    if not table.lines:
+        raise problem(path, 1, None, "samples below the header", "none")
+    columns = np.stack([numbers(table, name) for name in _COLUMNS], axis=1)
+    first_row = np.arange(len(table.lines)) == 0
+    sample_time = float(numbers(table, "Ts", first_row)[0])
+    if not _agrees(sample_time, dt):
+        expected = f"{dt:g} s (the physics' dt)"
+        raise problem(path, table.lines[0], "Ts", expected, f"{sample_time:g} s")
+    origin = f"{Path(path).name}, sha256 {table.digest}…, {_verdict(columns)}"
+    return _Found(columns, "file", origin)
+
+
+def _simulated(physics: Physics, seed: int) -> _Found:
+    _check_sample_time(physics, SAMPLE_TIME, "the simulated plant")
+    return _Found(estimation_and_test(seed), "simulated", f"built-in two-tank simulator, seed {seed}")
+
+
+def _check_sample_time(physics: Physics, found: float, whose: str) -> None:
+    if not _agrees(found, physics.dt):
+        raise ValueError(f"physics.dt: expected {found:g} s, the sample time of {whose}, found {physics.dt:g} s")
+
+
+def _agrees(sample_time: float, dt: float) -> bool:
+    return math.isclose(sample_time, dt, rel_tol=0.01)
+
+
+def _verdict(columns: Float[np.ndarray, "time 4"]) -> str:
+    """Compares the numbers with the published ones to five digits, as many as the file has."""
+    text = "\n".join(",".join(f"{value:.5g}" for value in row) for row in columns)
+    published = hashlib.sha256(text.encode()).hexdigest() == _PUBLISHED
+    return "the published benchmark (numbers verified)" if published else "not the published benchmark"

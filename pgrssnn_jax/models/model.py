@@ -1,0 +1,107 @@
+"""A state-space model of physics and networks.
+
+    x_t = f_phy(x_{t-1}, u_t) + s_x f_nn(u_t; h_{t-1})         y_t = g_phy(x_t, u_t) + s_y g_nn(x_t, u_t)
+
+States and outputs stay in physical units; the networks work in scaled units and their outputs are multiplied by the
+scales s_x, s_y, which is the published model written without a change of variables inside the recurrence. A black box
+has f_phy = 0 and g_phy = mean of y, and its states are the networks' own.
+Source: Li, Seth, Kok, IFAC 2026, equations 5 to 9.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+
+from pgrssnn_jax.models.networks import ACTIVATIONS, ModelSpec, Networks
+from pgrssnn_jax.physics.base import Physics, Signal
+from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.records.scaling import Scaling, fit_scaling, identity
+
+
+class ModelParams(NamedTuple):
+    """Every number a rollout needs, for one member: network weights, physics parameters, scaling."""
+
+    network: Any
+    physics: Any
+    scaling: Scaling
+
+
+class Model(NamedTuple):
+    """What does not change while training: spec, physics and the networks' graph definition."""
+
+    spec: ModelSpec
+    physics: Physics
+    graph: nnx.GraphDef | None
+    init: Callable[[jax.Array], Any]
+
+    @property
+    def n_x(self) -> int:
+        return len(self.physics.states)
+
+    def networks(self, params: ModelParams) -> Networks | None:
+        """The networks with the weights of `params`; None where the physics stands alone."""
+        return None if self.graph is None else nnx.merge(self.graph, params.network)
+
+
+def build_model(spec: ModelSpec, physics: Physics) -> Model:
+    """Splits the Flax networks once into graph definition and weights; `init(key)` gives one member's weights.
+
+    Raises `ValueError` for a spec that describes no model.
+    """
+    if not (spec.guided or spec.networks):
+        raise ValueError("model: guided and networks: expected at least one of them to be true, found both false")
+    if spec.activation not in ACTIVATIONS:
+        raise ValueError(f"model: activation: expected one of {sorted(ACTIVATIONS)}, found {spec.activation!r}")
+    if spec.hidden < 1 or spec.gru_layers < 1:
+        raise ValueError(
+            f"model: hidden and gru_layers: expected at least 1, found {spec.hidden} and {spec.gru_layers}"
+        )
+    if spec.features == "radial" and spec.recurrent:
+        raise ValueError("model: recurrent: expected false with features=radial, which has no GRU, found true")
+    if not spec.regularisation >= 0:
+        raise ValueError(f"model: regularisation: expected 0 or more, found {spec.regularisation}")
+    if spec.regularisation and (spec.recurrent or not spec.feedback):
+        raise ValueError(
+            "model: regularisation: expected 0 but for feedback=true and recurrent=false, whose corrections are "
+            f"functions of input and state alone, found {spec.regularisation}"
+        )
+    if not spec.networks:
+        return Model(spec, physics, None, lambda key: {})
+    sizes = {"n_u": len(physics.inputs), "n_x": len(physics.states), "n_y": len(physics.outputs)}
+
+    def create(key: jax.Array) -> Networks:
+        return Networks(spec, **sizes, rngs=nnx.Rngs(params=key))
+
+    graph = nnx.graphdef(nnx.eval_shape(lambda: create(jax.random.key(0))))
+    return Model(spec, physics, graph, lambda key: nnx.state(create(key), nnx.Param))
+
+
+def model_scaling(model: Model, train: Record, *, rates_like_outputs: bool = False) -> Scaling:
+    """Scaling of this model's signals from one training record; a black box's states are left as they are."""
+    physics = model.physics if model.spec.guided else None
+    scaling = fit_scaling(train, physics, rates_like_outputs=rates_like_outputs)
+    return scaling if model.spec.guided else scaling._replace(x=identity(model.n_x))
+
+
+def first_output_state(model: Model, y_first: jax.Array, u_first: jax.Array) -> jax.Array:
+    """x_0 `[n_x]` from the first measured output `[n_y]` and input `[n_u]`: a state with a known start takes it, one
+    that is `like` an output or `memory_of` an input takes its value, others 0.
+
+    A black box's states have no physical meaning and start at 0.
+    """
+    outputs, inputs = ([s.name for s in signals] for signals in (model.physics.outputs, model.physics.inputs))
+    zero = jnp.zeros((), y_first.dtype)
+
+    def start(state: Signal) -> jax.Array:
+        if not model.spec.guided:
+            return zero
+        if state.start is not None:
+            return zero + state.start
+        if state.like is not None:
+            return y_first[outputs.index(state.like)]
+        return zero if state.memory_of is None else u_first[inputs.index(state.memory_of)]
+
+    return jnp.stack([start(state) for state in model.physics.states])

@@ -1,0 +1,122 @@
+"""The networks of a state-space model, in the networks' (scaled) units.
+
+    φ_u = D(u_t) or D([u_t, x_{t-1}])     f_nn = D(D([h_{t-1}, φ_u]))      h_t = GRU(h_{t-1}, φ_u)
+    φ_x = D([u_t, x_t])                   g_nn = D(φ_x)
+
+D: two dense layers with one activation between them. Weights start as torch's do, uniform in ±1/√n_in, which the
+published figures rest on. Source: Li, Seth, Kok, IFAC 2026, section 3.
+
+With radial features instead, f_nn = W_x φ([u_t, x_{t-1}]) and g_nn = W_y φ([u_t, x_t]), φ as in `radial.py`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from flax import nnx
+from jaxtyping import Float
+
+from pgrssnn_jax.models.gru import GRU
+from pgrssnn_jax.models.radial import Radial
+
+ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {"relu": jax.nn.relu, "sigmoid": jax.nn.sigmoid}
+
+
+@dataclass(frozen=True)
+class ModelSpec:
+    """Which of the published variants, or the baseline W-PGNN, a model is.
+
+    guided: physics in f and g; networks: False leaves the physics alone; recurrent: a GRU, else dense layers only
+    (FC); feedback: x_{t-1} goes into φ_u; hidden: n_h; gru_layers: stacked GRUs, the last one's state is used;
+    gru_bias: biases in the GRU (published: none); start_from_physics: output heads start at zero, so that the
+    untrained model is the physics; correction: f_nn is multiplied by it (published: 1). A physics that integrates
+    piles up what is added at every step, so that a small fraction of a state's scale is enough; regularisation: λ of
+    the weighted penalty on corrections where data is scarce (`objective.py`). None of the three touches a black box,
+    whose states are the networks' own. features: dense layers, or n_h radial basis functions (no GRU).
+    """
+
+    guided: bool = True
+    networks: bool = True
+    recurrent: bool = True
+    feedback: bool = False
+    activation: Literal["relu", "sigmoid"] = "relu"
+    hidden: int = 16
+    gru_layers: int = 1
+    gru_bias: bool = False
+    start_from_physics: bool = False
+    correction: float = 1.0
+    features: Literal["dense", "radial"] = "dense"
+    regularisation: float = 0.0
+
+
+def _uniform_fan_in(fan_in: int) -> nnx.Initializer:
+    bound = fan_in**-0.5
+
+    def init(key: jax.Array, shape: Sequence[int], dtype: Any = jnp.float32, **_: object) -> jax.Array:
+        return jax.random.uniform(key, tuple(shape), dtype, -bound, bound)
+
+    return init
+
+
+def _zeros(key: jax.Array, shape: Sequence[int], dtype: Any = jnp.float32, **_: object) -> jax.Array:
+    """Zeros that the compiler does not know to be zeros: jaxlib 0.10.2 fuses a product with a constant matrix of equal
+    numbers into what stands before it, and computes it wrongly on CPUs (compare jax issue 39103)."""
+    return 0.0 * jax.random.uniform(key, tuple(shape), dtype)
+
+
+class TwoDense(nnx.Module):
+    """D(z) = W2 act(W1 z + b1) + b2, n_in → hidden → n_out."""
+
+    def __init__(
+        self, n_in: int, hidden: int, n_out: int, activation: str, *, zero_out: bool = False, rngs: nnx.Rngs
+    ) -> None:
+        last = _zeros if zero_out else _uniform_fan_in(hidden)
+        first = _uniform_fan_in(n_in)
+        self.first = nnx.Linear(n_in, hidden, kernel_init=first, bias_init=first, rngs=rngs)
+        self.second = nnx.Linear(hidden, n_out, kernel_init=last, bias_init=last, rngs=rngs)
+        self.activation = activation
+
+    def __call__(self, z: Float[jax.Array, "*batch n_in"]) -> Float[jax.Array, "*batch n_out"]:
+        rows = z.reshape(-1, z.shape[-1])  # the gradient of a product over one axis of samples is the faster one
+        return self.second(ACTIVATIONS[self.activation](self.first(rows))).reshape(*z.shape[:-1], -1)
+
+
+class Networks(nnx.Module):
+    """All networks of one model; call order is the rollout's matter (`rollout.py`)."""
+
+    def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs) -> None:
+        n_h, act = spec.hidden, spec.activation
+        self.correction = spec.correction if spec.guided else 1.0
+        n_mixed = 2 * n_h if spec.recurrent else n_h
+        zero = spec.start_from_physics and spec.guided
+        if spec.features == "radial":
+            self._build_radial(spec, n_u, n_x, n_y, zero, rngs)
+            return
+        self.features_u = TwoDense(n_u + (n_x if spec.feedback else 0), n_h, n_h, act, rngs=rngs)
+        layers = spec.gru_layers if spec.recurrent else 0
+        self.gru = nnx.List([GRU(n_h, n_h, bias=spec.gru_bias, rngs=rngs) for _ in range(layers)])
+        self.mixer = TwoDense(n_mixed, n_h, n_h, act, rngs=rngs)
+        self.head_x = TwoDense(n_h, n_h, n_x, act, zero_out=zero, rngs=rngs)
+        self.features_x = TwoDense(n_u + n_x, n_h, n_h, act, rngs=rngs)
+        self.head_y = TwoDense(n_h, n_h, n_y, act, zero_out=zero, rngs=rngs)
+
+    def _build_radial(self, spec: ModelSpec, n_u: int, n_x: int, n_y: int, zero: bool, rngs: nnx.Rngs) -> None:
+        def weights(n_out: int) -> nnx.Linear:
+            init = _zeros if zero else _uniform_fan_in(spec.hidden)
+            return nnx.Linear(spec.hidden, n_out, use_bias=False, kernel_init=init, rngs=rngs)
+
+        self.features_u = Radial(n_u + (n_x if spec.feedback else 0), spec.hidden, rngs=rngs)
+        self.gru, self.mixer = nnx.List([]), None
+        self.head_x = weights(n_x)
+        self.features_x = Radial(n_u + n_x, spec.hidden, rngs=rngs)
+        self.head_y = weights(n_y)
+
+    def f_nn(self, h: Float[jax.Array, "*batch hidden"] | None, phi: Float[jax.Array, "*batch hidden"]) -> jax.Array:
+        """State correction from the GRU state *before* it saw u_t (None without a GRU) and φ_u."""
+        mixed = phi if h is None else jnp.concatenate([h, phi], -1)
+        return self.correction * self.head_x(mixed if self.mixer is None else self.mixer(mixed))
+
+    def g_nn(self, x: Float[jax.Array, "*batch x"], u: Float[jax.Array, "*batch u"]) -> jax.Array:
+        return self.head_y(self.features_x(jnp.concatenate([u, x], -1)))

@@ -1,0 +1,152 @@
+"""Free run of a model: outputs predicted from the inputs and an initial state, nothing measured fed in.
+
+Two routes with equal results (to rounding):
+    fused  one scan whose body does physics, GRU and networks; needed when the state is fed back
+    split  without feedback f_nn depends on u alone: feature layers, input projections, heads and measurement networks
+           are batched over time, and only the GRU recurrence and the physics step stay in scans
+"""
+
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from pgrssnn_jax.models.gru import delayed
+from pgrssnn_jax.models.model import Model, ModelParams
+from pgrssnn_jax.models.networks import Networks
+from pgrssnn_jax.records.record import Array
+
+Route = Literal["fused", "split"]
+
+
+class Trajectory(NamedTuple):
+    """y `[seq, time, y]` and x `[seq, time, x]` (state after u_t acted) in physical units; first_bad `[seq]`: index of
+    the first sample at which x or y is not finite, `time` if none."""
+
+    y: Float[jax.Array, "seq time y"]
+    x: Float[jax.Array, "seq time x"]
+    first_bad: Int[jax.Array, " seq"]
+
+
+def rollout(
+    model: Model,
+    params: ModelParams,
+    u: Float[Array, "seq time u"],
+    x0: Float[Array, "seq x"],
+    *,
+    route: Route | None = None,
+    valid: Bool[Array, "seq time"] | None = None,
+) -> Trajectory:
+    """Predicts every sequence of one member. u and x0 in physical units; the GRU starts at zero.
+
+    The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
+    leaves the floating-point range does not raise; it is reported in `first_bad`. valid (`records.valid_mask`): where
+    it is False the state is held, so that padding can neither fail nor spoil a gradient. Raises `ValueError` for an
+    unknown route, and if `split` is asked of a model with feedback.
+    """
+    if route not in (None, "fused", "split"):
+        raise ValueError(f"rollout: route: expected 'fused', 'split' or None, found {route!r}")
+    if route == "split" and model.spec.feedback:
+        raise ValueError("rollout: route: expected 'fused' for a model with state feedback, found 'split'")
+    networks = model.networks(params)
+    params = params._replace(physics=jax.tree.map(lambda p: jnp.asarray(p, x0.dtype), params.physics))
+    u_time, x0 = jnp.swapaxes(jnp.asarray(u), 0, 1), jnp.asarray(x0)
+    fused = route == "fused" or model.spec.feedback
+    held = None if valid is None else ~jnp.swapaxes(jnp.asarray(valid), 0, 1)
+    x_time = (_fused if fused else _split)(model, params, networks, u_time, x0, held)
+    read = x_time if model.physics.output_timing == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])
+    y_time = _measure(model, params, networks, read, u_time)
+    finite = jnp.isfinite(x_time).all(-1) & jnp.isfinite(y_time).all(-1)
+    first_bad = jnp.where(finite.all(0), len(finite), jnp.argmin(finite, axis=0)).astype(jnp.int32)
+    return Trajectory(jnp.swapaxes(y_time, 0, 1), jnp.swapaxes(x_time, 0, 1), first_bad)
+
+
+def _physics_step(model: Model, params: ModelParams, x: jax.Array, u: jax.Array) -> jax.Array:
+    """f_phy for `[seq, x]`; a black box's is zero."""
+    if not model.spec.guided:
+        return jnp.zeros_like(x)
+    return jax.vmap(model.physics.step, (None, 0, 0))(params.physics, x, u)
+
+
+def _fused(
+    model: Model,
+    params: ModelParams,
+    networks: Networks | None,
+    u: jax.Array,
+    x0: jax.Array,
+    held: jax.Array | None,
+) -> jax.Array:
+    """x `[time, seq, x]` by one scan; the carry is one packed array `[seq, x + layers · hidden]`."""
+    n_x, hidden = model.n_x, model.spec.hidden
+    layers = len(networks.gru) if networks is not None else 0
+    u_scaled = params.scaling.u.to_scaled(u)
+
+    def body(carry: jax.Array, inputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+        u_t, u_t_scaled, *held_t = inputs
+        x, *h = jnp.split(carry, [n_x + i * hidden for i in range(layers)], axis=1) if layers else (carry,)
+        new = _physics_step(model, params, x, u_t)
+        if networks is not None:
+            seen = u_t_scaled
+            if model.spec.feedback:
+                seen = jnp.concatenate([seen, params.scaling.x.to_scaled(x)], -1)
+            phi = networks.features_u(seen)
+            new = new + params.scaling.x.unscale_difference(networks.f_nn(h[-1] if h else None, phi))
+            below = phi
+            for i, layer in enumerate(networks.gru):
+                h[i] = below = layer.step(h[i], layer.project(below))
+        new = _hold(held_t, x, new)
+        return jnp.concatenate([new, *h], -1), new
+
+    start = jnp.concatenate([x0, jnp.zeros((x0.shape[0], layers * hidden), x0.dtype)], -1)
+    return jax.lax.scan(body, start, (u, u_scaled) if held is None else (u, u_scaled, held))[1]
+
+
+def _split(
+    model: Model,
+    params: ModelParams,
+    networks: Networks | None,
+    u: jax.Array,
+    x0: jax.Array,
+    held: jax.Array | None,
+) -> jax.Array:
+    """x `[time, seq, x]` with everything but the two recurrences batched over time."""
+    if networks is None:
+        correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
+    else:
+        phi = networks.features_u(params.scaling.u.to_scaled(u))
+        h_before = gru_states_before(networks, phi) if len(networks.gru) else None
+        correction = params.scaling.x.unscale_difference(networks.f_nn(h_before, phi))
+    if not model.spec.guided:
+        return correction
+
+    def body(x: jax.Array, inputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+        u_t, correction_t, *held_t = inputs
+        x = _hold(held_t, x, _physics_step(model, params, x, u_t) + correction_t)
+        return x, x
+
+    return jax.lax.scan(body, x0, (u, correction) if held is None else (u, correction, held))[1]
+
+
+def _hold(held: list[jax.Array], old: jax.Array, new: jax.Array) -> jax.Array:
+    return jnp.where(held[0][:, None], old, new) if held else new
+
+
+def gru_states_before(networks: Networks, phi: Float[jax.Array, "time seq hidden"]) -> jax.Array:
+    """h_{t-1} of the last layer, `[time, seq, hidden]`; each layer's input projection is batched over time."""
+    states = phi
+    for layer in networks.gru:
+        states = layer.scan(layer.project(states))
+    return delayed(states)
+
+
+def _measure(model: Model, params: ModelParams, networks: Networks | None, x: jax.Array, u: jax.Array) -> jax.Array:
+    """y `[time, seq, y]` = g_phy(x, u) + s_y g_nn(x, u), batched over time; a black box's g_phy is the mean of y."""
+    scaling = params.scaling
+    if model.spec.guided:
+        y = jax.vmap(jax.vmap(model.physics.measure, (None, 0, 0)), (None, 0, 0))(params.physics, x, u)
+    else:
+        y = scaling.y.to_physical(jnp.zeros((*x.shape[:2], len(model.physics.outputs)), x.dtype))
+    if networks is None:
+        return y
+    return y + scaling.y.unscale_difference(networks.g_nn(scaling.x.to_scaled(x), scaling.u.to_scaled(u)))

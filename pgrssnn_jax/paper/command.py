@@ -1,0 +1,114 @@
+"""What `report.py` does: run folders -> tables -> files, figures and one page, and the tables in the terminal."""
+
+import shlex
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from matplotlib.figure import Figure
+from omegaconf import DictConfig
+from rich.console import Console
+
+from pgrssnn_jax.cli.plan import plain
+from pgrssnn_jax.paper.boxes import box_figure
+from pgrssnn_jax.paper.collect import MARKS, FoundRun, collect
+from pgrssnn_jax.paper.efficiency import can_be_curves, efficiency_figure, overlay_figure
+from pgrssnn_jax.paper.latex import latex
+from pgrssnn_jax.paper.page import Pictures, evidence_page
+from pgrssnn_jax.paper.published import Paper, read_paper
+from pgrssnn_jax.paper.rows import EvidenceTable, evidence_tables
+from pgrssnn_jax.paper.tables import frame, markdown, terminal_table
+from pgrssnn_jax.training.run_folder import RunFolder, short_path
+
+_DOTS_PER_INCH = 130
+_KEYS = {"runs", "out"}
+
+FIGURES: dict[str, tuple[Callable[[EvidenceTable, Paper], Figure], str, str]] = {
+    "boxes": (
+        box_figure,
+        "seeds",
+        "Test error of every finished member. Boxes hold the middle half of the members, whiskers all of them; diamonds"
+        " are the published means. At the right how many members finished, and which failed.",
+    ),
+    "samples": (
+        efficiency_figure,
+        "error and correlation against the training samples",
+        "Means over finished members; the bands hold all of them, dots are single ones.",
+    ),
+    "overlay": (
+        overlay_figure,
+        "predictions with the fewest samples",
+        "Free run over the test record: a stretch from its middle that can be read sample by sample, and all of it.",
+    ),
+}
+"""By the end of a file's name: how a figure is made, and what its page says of it."""
+
+
+def prepare_report(config: DictConfig) -> Callable[[threading.Event], None]:
+    """Reads every run; what it returns writes. Raises `ValueError` for bad input, and leaves nothing."""
+    settings = plain(config)
+    if unknown := sorted(settings.keys() - _KEYS):
+        raise ValueError(f"configuration: expected the keys {sorted(_KEYS)}, found {unknown[0]!r}")
+    roots = run_roots(settings["runs"])
+    out = Path(str(settings["out"])) if settings["out"] else roots[0]
+    if found := sorted(name for name in MARKS if (out / name).exists()):
+        raise ValueError(
+            f"out: expected a folder that is not a run's, whose own page would be replaced, found {found[0]} "
+            f"in {str(out)!r}"
+        )
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"out: expected a folder, found the file {str(out)!r}")
+    paper = read_paper()
+    runs = collect(roots, paper)
+    command = shlex.join(["python", "report.py", *HydraConfig.get().overrides.task])
+    return partial(report_run, evidence_tables(runs, paper), runs, paper, out, Console(highlight=False), command)
+
+
+def run_roots(given: Any) -> list[Path]:
+    """A folder, folders with commas between them, or a list. Raises `ValueError` where one is not there."""
+    words = [str(one) for one in given] if isinstance(given, Sequence) and not isinstance(given, str) else [str(given)]
+    if len(words) == 1 and not Path(words[0]).is_dir():
+        words = words[0].split(",")
+    for word in words:
+        if not word or not Path(word).is_dir():
+            raise ValueError(f"runs: expected a folder, or several with commas between them, found {word!r}")
+    return [Path(word) for word in words]
+
+
+def report_run(
+    tables: Sequence[EvidenceTable],
+    runs: Sequence[FoundRun],
+    paper: Paper,
+    out: Path,
+    console: Console,
+    command: str,
+    stop: threading.Event,
+) -> None:
+    """Writes tables, figures and page into `out`, and shows the tables. stop: never asked, this takes seconds."""
+    folder = RunFolder(out)
+    folder.write_text("tables.md", markdown(tables, paper))
+    folder.write_csv("tables.csv", frame(tables))
+    folder.write_text("tables.tex", latex(tables, paper))
+    pictures = draw(tables, paper, folder.figures)
+    folder.write_text("report.html", evidence_page(tables, runs, paper, pictures, command))
+    for table in tables:
+        console.print(terminal_table(table, paper, console.width))
+    console.print(
+        f"page: {short_path(out / 'report.html')}   tables: {short_path(out)}/tables.md, .csv, .tex", soft_wrap=True
+    )
+
+
+def draw(tables: Sequence[EvidenceTable], paper: Paper, folder: Path) -> Pictures:
+    """Writes the figures that each table has."""
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures: dict[str, list[tuple[str, str, Path]]] = {}
+    for table in tables:
+        for end in FIGURES if can_be_curves(table) else ("boxes",):
+            make, title, caption = FIGURES[end]
+            path = folder / f"{table.slug}-{end}.png"
+            make(table, paper).savefig(path, dpi=_DOTS_PER_INCH)
+            pictures.setdefault(table.slug, []).append((f"{table.title}: {title}", caption, path))
+    return pictures

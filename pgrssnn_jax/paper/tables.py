@@ -1,0 +1,195 @@
+"""The tables of many runs as text: what stands in each cell, the notes below, the terminal, Markdown and CSV."""
+
+import math
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+from rich.table import Table
+from rich.text import Text
+
+from pgrssnn_jax.paper.order import beats_lines, order_lines
+from pgrssnn_jax.paper.published import Paper, Value
+from pgrssnn_jax.paper.rows import EvidenceTable, Row, failures
+from pgrssnn_jax.reports.content import MISSING, MemberRow, duration, plus_minus, rounded
+from pgrssnn_jax.reports.tables import one_line, pipes, rich_table
+
+QUOTED = "†"
+SHOWN_SEEDS = 12
+LEFT_OUT = ("median", "failed", "best", "ensemble", "time", "CC")  # where the terminal is too narrow, in this order
+GAP = 2  # letters between columns
+
+
+def header(table: EvidenceTable) -> tuple[str, ...]:
+    cc = ("CC",) if table.sizes else ()
+    figures = ("mean ± std", "median", "best", "ensemble", *cc)
+    return ("variant", *figures, "members", "failed", "published", "difference", "time")
+
+
+def cells(row: Row, table: EvidenceTable) -> list[str]:
+    """In the order of `header`; a row without figures says in their place why."""
+    f, measured = row.figures, math.isfinite(row.figures.mean)
+    quoted = row.state == "quoted"
+    mean = plus_minus(f.mean, f.std) if measured else MISSING if row.state in ("finished", "quoted") else row.state
+    figures = [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]
+    members = MISSING if quoted else f"{len(row.finished)} / {MISSING if row.planned is None else row.planned}"
+    return [
+        f"{row.label} {QUOTED}" if quoted else row.label,
+        mean,
+        *map(rounded, figures),
+        members,
+        MISSING if row.run is None or row.run.metrics is None else str(len(row.failed)),
+        published(row.published),
+        f"{row.difference:+.1f}" if math.isfinite(row.difference) else MISSING,
+        duration(row.seconds),
+    ]
+
+
+def published(value: Value | None) -> str:
+    """As the paper prints it: two decimals, the runs that finished where some failed, the best where it is given."""
+    if value is None:
+        return MISSING
+    text = MISSING if value.mean is None else f"{value.mean:.2f}"
+    text += f" ({value.finished}/{value.runs})" if value.finished < value.runs else ""
+    return text + (f", best {value.best:.2f}" if value.best is not None else "")
+
+
+def problems(table: EvidenceTable) -> list[str]:
+    """Everything that is not as it should be: runs that are missing, unfinished or failed, members that failed."""
+    lines = [f"{r.label}: {r.state}: {r.reason}" for r in table.rows if r.state in ("failed", "unfinished", "damaged")]
+    missing = [row.label for row in table.rows if row.state == "missing"]
+    lines += [f"missing, no run folder: {', '.join(missing)}"] if missing else []
+    for row in table.rows:
+        lines += [
+            f"{row.label}: {len(members)} of {row.planned} members failed: {reason} ({who(row, members)})"
+            for reason, members in failures(row)
+        ]
+        lost = (row.planned or 0) - len(row.finished) - len(row.failed)
+        if row.state == "finished" and lost:
+            lines.append(f"{row.label}: {lost} of {row.planned} members without a result")
+        if row.state == "finished" and row.reason:
+            lines.append(f"{row.label}: {row.reason}")
+    simulated = [row.label for row in table.rows if _source(row) == "simulated"]
+    return lines + ([f"SIMULATED DATA, generated here: {', '.join(simulated)}"] if simulated else [])
+
+
+def who(row: Row, members: Sequence[MemberRow]) -> str:
+    """Members by seed, and by data set where there are several; the first few of many."""
+    several = len({member.dataset for member in (*row.finished, *row.failed)}) > 1
+    names = [f"{member.seed}/{member.dataset}" if several else str(member.seed) for member in members]
+    more = f" and {len(names) - SHOWN_SEEDS} more" if len(names) > SHOWN_SEEDS else ""
+    return f"seed{'/dataset' if several else ''} {', '.join(names[:SHOWN_SEEDS])}{more}"
+
+
+def rule(table: EvidenceTable, paper: Paper) -> list[str]:
+    """How the differences were found; empty where there is nothing published to differ from."""
+    if not any(row.published and row.published.runs for row in table.rows):
+        return []
+    runs = paper.systems[table.system].runs
+    return [
+        "difference: (mean - published) / sqrt(std² (1/n + 1/n_p) + d²/12), in combined standard errors, for n finished"
+        f" members and n_p finished runs of the paper ({runs} unless some failed). The paper prints no deviations and"
+        f" rounds to d = {paper.rounding:g}: the measured std stands for both, d²/12 for the rounding. None with fewer"
+        " than two finished members."
+    ]
+
+
+def notes(table: EvidenceTable, paper: Paper) -> list[str]:
+    """How the paper's order fares, why figures differ, where the data came from, what was asked for, what it cost."""
+    lines = [*rule(table, paper), *order_lines(table, paper), *beats_lines(table, paper)]
+    lines += [f"{row.label}: {row.why}" for row in table.rows if row.why]
+    if any(row.state == "quoted" for row in table.rows):
+        lines.append(f"{QUOTED} quoted by the paper from the literature, not measured here")
+    if table.budget:
+        lines.append(f"every run was capped by budget={table.budget}: the figures are no match for the published ones")
+    if table.common:
+        lines.append("all runs with " + " ".join(f"{key}={value}" for key, value in table.common.items()))
+    epochs = sorted({row.run.epochs for row in table.rows if row.run and row.run.epochs})
+    if epochs:
+        span = f"{epochs[0]} to {epochs[-1]}" if len(epochs) > 1 else str(epochs[0])
+        lines.append(f"epochs, of the member of each run that trained longest: {span}")
+    sources = dict.fromkeys(str(row.run.metrics.get("origin")) for row in table.measured if row.run and row.run.metrics)
+    lines += [f"data: {origin}" for origin in sources]
+    timed = sum(math.isfinite(row.seconds) for row in table.rows)
+    hours = f" ({table.seconds / 3600:.1f} h)" if table.seconds >= 3600 else ""
+    return [*lines, f"cost: {duration(table.seconds)}{hours} in all, over {timed} runs that tell their time"]
+
+
+def _source(row: Row) -> str | None:
+    return row.run.metrics["source"] if row.run and row.run.metrics else None
+
+
+def terminal_table(table: EvidenceTable, paper: Paper, width: int) -> Table:
+    """The table for a terminal of so many columns; what does not fit is left out, and said so."""
+    head = header(table)
+    texts = [dict(zip(head, cells(row, table), strict=True)) for row in table.rows]
+    shown, left_out = list(head), []
+    for name in LEFT_OUT:
+        natural = (max(len(name), *(len(row[name]) for row in texts)) for name in shown)
+        if sum(natural) + GAP * (len(shown) + 1) > width and name in shown:
+            shown.remove(name)
+            left_out.append(name)
+    narrow = [f"left out, the terminal is too narrow: {', '.join(left_out)}"] if left_out else []
+    footer = "\n".join([*narrow, *problems(table), *notes(table, paper)])
+    made = rich_table(f"{table.title}: {table.heading}", shown, footer, words=head[:1], no_wrap=False)
+    for row, text in zip(table.rows, texts, strict=True):
+        missing = row.state != "quoted" and not math.isfinite(row.figures.mean)
+        look = "italic" if row.state == "quoted" else "red" if missing else "yellow" if row.failed else ""
+        made.add_row(*(Text(text[name]) for name in shown), style=look)
+    return made
+
+
+def markdown(tables: Sequence[EvidenceTable], paper: Paper) -> str:
+    """All tables, each with its notes, for a file of their own."""
+    parts = [f"# Measured and published\n\nPublished figures: {_escaped(paper.source)}.\n"]
+    for table in tables:
+        head = header(table)
+        lines = [f"## {_escaped(f'{table.title}: {table.heading}')}", "", pipes([_escaped(name) for name in head])]
+        lines.append("|:---|" + "---:|" * (len(head) - 1))
+        for row in table.rows:
+            name, *rest = map(_escaped, cells(row, table))
+            lines.append(pipes([f"*{name}*" if row.state == "quoted" else name, *rest]))
+        lines += ["", *(f"- {_escaped(line)}" for line in [*problems(table), *notes(table, paper)]), ""]
+        parts.append("\n".join(lines))
+    return "\n".join(parts)
+
+
+def _escaped(text: str) -> str:
+    """Text as it stands in Markdown, on one line; a cell's bars are escaped by `pipes`."""
+    return re.sub(r"([\\`*_\[\]<>#~])", r"\\\1", one_line(text))
+
+
+def frame(tables: Sequence[EvidenceTable]) -> pd.DataFrame:
+    """One row per variant with unrounded figures; what does not exist is empty."""
+    return pd.DataFrame([_record(row, table) for table in tables for row in table.rows]).convert_dtypes()
+
+
+def _record(row: Row, table: EvidenceTable) -> dict[str, Any]:
+    value, run = row.published, row.run
+    return {
+        "experiment": table.name,
+        "budget": table.budget,
+        "system": table.system,
+        "model": row.variant.model,
+        "physics": row.variant.physics,
+        "n_train": row.variant.n_train,
+        "variant": row.label,
+        "overrides": " ".join(f"{key}={v}" for key, v in run.overrides.items()) if run else "",
+        "state": row.state,
+        "reason": "; ".join(filter(None, [row.reason, *(reason for reason, _ in failures(row))])),
+        "planned": row.planned,
+        "finished": len(row.finished),
+        "failed": len(row.failed),
+        "merit": table.merit,
+        "unit": table.unit,
+        **row.figures._asdict(),
+        "published": value.mean if value else None,
+        "published_best": value.best if value else None,
+        "published_runs": value.runs if value else None,
+        "published_finished": value.finished if value else None,
+        "difference": row.difference,
+        "seconds": row.seconds,
+        "source": _source(row),
+        "folder": run.name if run else None,
+    }

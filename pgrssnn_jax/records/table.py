@@ -1,0 +1,142 @@
+"""A CSV file as columns of text that remember their line, so that every message can say where a bad cell is.
+
+The standard library's reader is used because it keeps line numbers. Every function raises `ValueError` with one
+sentence: file, line (the header is line 1), column, what was expected, what was found.
+"""
+
+import csv
+import io
+import math
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pgrssnn_jax.data.sources import fingerprint
+
+_LONGEST = 40  # characters of a bad cell shown in a message
+
+
+class Table(NamedTuple):
+    """columns: stripped cells by column name; lines: where each row is in the file; digest: of the file's bytes."""
+
+    file: str
+    columns: dict[str, list[str]]
+    lines: list[int]
+    digest: str
+
+
+def problem(file: str | Path, line: int, column: str | None, expected: str, found: str) -> ValueError:
+    """The one sentence about a bad place in a file."""
+    where = "" if column is None else f" column {column!r}:"
+    return ValueError(f"{file}: line {line}:{where} expected {expected}, found {found}")
+
+
+def quoted_cell(cell: str) -> str:
+    """A cell as a message shows it: on one line, and short."""
+    return "an empty cell" if not cell else repr(cell if len(cell) <= _LONGEST else cell[:_LONGEST] + "…")
+
+
+def read_table(path: str | Path) -> Table:
+    """Reads a comma-separated UTF-8 file with a header.
+
+    A byte-order mark, Windows line ends, empty rows at the end, blanks around cells, and columns without a name
+    (such as the one after a trailing comma) are no part of the data.
+    """
+    content = _read_bytes(path)
+    rows, lines = _read_rows(path, _decode(path, content))
+    if not rows:
+        raise problem(path, 1, None, "a header with column names", "an empty file")
+    header = rows[0]
+    for name, times in Counter(name for name in header if name).items():
+        if times > 1:
+            raise problem(path, lines[0], name, "every column name once", f"it {times} times")
+    for row, line in zip(rows[1:], lines[1:], strict=True):
+        _check_length(path, header, row, line)
+    named = [(i, name) for i, name in enumerate(header) if name]
+    # A column that only its trailing comma announces may be left out of a row: it has no name, nothing reads it.
+    columns = {name: [row[i] for row in rows[1:]] for i, name in named}
+    return Table(str(path), columns, lines[1:], fingerprint(content))
+
+
+def numbers(table: Table, name: str, needed: Bool[np.ndarray, " rows"] | None = None) -> Float[np.ndarray, " rows"]:
+    """The column as finite float64 numbers; where `needed` is False an empty or infinite cell is allowed, and is 0."""
+    values = np.zeros(len(table.lines))
+    for row, cell in enumerate(column(table, name)):
+        value = _number(cell)
+        is_needed = needed is None or needed[row]
+        if value is None or (is_needed and not math.isfinite(value)):
+            raise problem(table.file, table.lines[row], name, "a finite number", quoted_cell(cell))
+        values[row] = value if math.isfinite(value) else 0.0
+    return values
+
+
+def column(table: Table, name: str) -> list[str]:
+    """The cells of a column that must be there."""
+    if name not in table.columns:
+        there = ", ".join(map(repr, table.columns)) or "no named column"
+        raise problem(table.file, 1, name, "a column of this name", there)
+    return table.columns[name]
+
+
+def _number(cell: str) -> float | None:
+    """None for text; NaN for an empty cell. Python's own `1_000` is text here: no other program writes it."""
+    if not cell:
+        return math.nan
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None
+
+
+def _read_bytes(path: str | Path) -> bytes:
+    file = Path(path).expanduser()
+    try:
+        return file.read_bytes()
+    except FileNotFoundError:
+        found = "no such file"
+    except OSError as error:
+        found = "a folder" if file.is_dir() else (error.strerror or type(error).__name__).lower()
+    except ValueError:  # a null character in the name
+        found = "no such file"
+    raise ValueError(f"{path}: expected a readable CSV file, found {found}")
+
+
+def _decode(path: str | Path, content: bytes) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise problem(path, line, None, "text in UTF-8", f"the byte 0x{content[error.start]:02x}") from None
+
+
+def _read_rows(path: str | Path, text: str) -> tuple[list[list[str]], list[int]]:
+    """Stripped rows and the line on which each starts, without the empty rows at the end."""
+    # newline="" leaves line ends to the csv module, as it asks for.
+    reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+    rows: list[list[str]] = []
+    lines: list[int] = []
+    start = 1
+    try:
+        for row in reader:
+            rows.append([cell.strip() for cell in row])
+            lines.append(start)
+            start = reader.line_num + 1
+    except csv.Error as error:
+        raise problem(path, start, None, "comma-separated values", f"a malformed row ({error})") from None
+    while rows and not any(rows[-1]):
+        rows.pop()
+        lines.pop()
+    return rows, lines
+
+
+def _check_length(path: str | Path, header: list[str], row: list[str], line: int) -> None:
+    named = len(header)
+    while named and not header[named - 1]:
+        named -= 1
+    if len(row) < named:
+        raise problem(path, line, header[len(row)] or None, f"{named} cells", str(len(row)))
+    if any(row[len(header) :]):
+        raise problem(path, line, header[named - 1], f"{len(header)} cells", str(len(row)))

@@ -1,0 +1,88 @@
+"""Saving and restoring the whole state of training with orbax.
+
+A checkpoint holds everything that the next chunk depends on, so that a resumed run ends with the same numbers, bit for
+bit, as one that was never interrupted: trainable and best parameters, optimizer state, epoch, outcome, scaling, units,
+and the losses so far. Orbax writes to a temporary name and renames; a checkpoint that exists is whole.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+
+from pgrssnn_jax.records.scaling import Scaling, Units
+from pgrssnn_jax.training.loop import Losses, no_losses
+from pgrssnn_jax.training.optimise import MemberState
+
+
+class Checkpoint(NamedTuple):
+    state: MemberState
+    scaling: Scaling
+    units: Units
+    losses: Losses
+
+
+class CheckpointFolder:
+    """Checkpoints of one run, named by epoch; the latest two are kept."""
+
+    def __init__(self, folder: Path, *, create: bool = True) -> None:
+        """create False: for reading. Raises `ValueError` when the folder is not there."""
+        if not create and not folder.is_dir():
+            raise ValueError(f"checkpoint: expected one in {str(folder)!r}, found none")
+        options = ocp.CheckpointManagerOptions(max_to_keep=2, enable_async_checkpointing=False, create=create)
+        self._manager = ocp.CheckpointManager(folder.resolve(), options=options)
+
+    def save(self, checkpoint: Checkpoint) -> None:
+        """Saves under the number of epochs trained; saving the same epoch again is a no-op."""
+        epoch = checkpoint.losses.epochs
+        if epoch != self._manager.latest_step():
+            host = jax.tree.map(np.asarray, jax.device_get(checkpoint))
+            self._manager.save(epoch, args=ocp.args.StandardSave(_named(host)))
+
+    def restore(self, like: Checkpoint, *, any_shape: bool = False) -> Checkpoint:
+        """The latest checkpoint, in the structure of `like`; any_shape: whatever the number of members and sequences.
+
+        Raises `ValueError` when there is none, or when it belongs to other members or another model than `like`.
+        """
+        epoch = self._manager.latest_step()
+        if epoch is None:
+            raise ValueError(f"checkpoint: expected one in {str(self._manager.directory)!r}, found none")
+        found, expected = self._manager.restore(epoch, args=ocp.args.StandardRestore()), _named(like)
+        trees: list[Any] = []
+        for name in ("state", "scaling", "units"):
+            here, there = (_shapes(named.get(name, {}), any_shape) for named in (found, expected))
+            if here != there:
+                raise ValueError(
+                    f"checkpoint: {name}: expected the arrays of this model and its members, found those of another one"
+                )
+            leaves = [found[name][key] for key in sorted(found.get(name, {}))]
+            trees.append(jax.tree.unflatten(jax.tree.structure(getattr(like, name)), leaves))
+        losses = Losses(**found["losses"]) if epoch else no_losses(len(trees[0].epoch))
+        return Checkpoint(trees[0], trees[1], trees[2], losses)
+
+    def clear(self) -> None:
+        """Forgets the checkpoints of an earlier run in the same folder."""
+        for epoch in self._manager.all_steps():
+            self._manager.delete(epoch)
+
+    def close(self) -> None:
+        self._manager.close()
+
+
+def _named(checkpoint: Checkpoint) -> dict[str, Any]:
+    """Arrays by name: readable without this package, and independent of how optax or Flax nest their states."""
+    named = {}
+    for name in ("state", "scaling", "units"):
+        paths = jax.tree_util.tree_leaves_with_path(getattr(checkpoint, name))
+        named[name] = {
+            f"{i:04d}{jax.tree_util.keystr(path)}".replace("/", "|"): leaf for i, (path, leaf) in enumerate(paths)
+        }
+    if checkpoint.losses.epochs:  # orbax refuses arrays without elements
+        named["losses"] = checkpoint.losses._asdict()
+    return named
+
+
+def _shapes(named: dict[str, Any], any_shape: bool) -> dict[str, tuple[int, ...]]:
+    return {name: () if any_shape else tuple(np.shape(leaf)) for name, leaf in named.items()}

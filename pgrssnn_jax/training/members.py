@@ -1,0 +1,114 @@
+"""From a function of one member to a function of all members: the one place that decides how they are mapped.
+
+Which mapping is fastest depends on the shapes: many small products with each member's own weights are slow when
+batched on a CPU, few long recurrences are slow one after another. `benchmarks/rollout.py` measures it; an experiment
+says it once, in `conf/members/`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import AxisType, PartitionSpec
+
+from pgrssnn_jax.acceleration.compiler import optimised
+
+
+class Member(NamedTuple):
+    """Which member this is: its seed and the index of its dataset (realisation)."""
+
+    seed: int
+    dataset: int
+
+
+@dataclass(frozen=True)
+class MemberMapping:
+    """how: `vmap` within a sub-batch, or members one after another (`loop`); sub_batch: members per `vmap` (None: all);
+    devices: JAX devices over which the members are sharded; optimisation: of machine code, 0 to 3 (None: as the
+    compiler chooses), where 0 compiles in about half the time and runs two to four times slower."""
+
+    how: Literal["vmap", "loop"] = "vmap"
+    sub_batch: int | None = None
+    devices: int = 1
+    optimisation: int | None = None
+
+
+def jit_members(one: Callable[..., Any], mapping: MemberMapping, *, donated: int | None = None) -> jax.stages.Wrapped:
+    """`map_members`, compiled as the mapping says; donated: the argument whose memory the result takes over."""
+    given = () if donated is None else (donated,)
+    mapped = map_members(one, mapping)
+    return jax.jit(mapped, compiler_options=optimised(mapping.optimisation), donate_argnums=given)
+
+
+def map_members(one: Callable[..., Any], mapping: MemberMapping) -> Callable[..., Any]:
+    """`one(*trees) -> tree` for one member becomes a function of trees with a leading member axis.
+
+    Members are padded to a multiple of the devices with copies of the last one, which are dropped again. Raises
+    `ValueError` when more devices are asked for than there are.
+    """
+    if not 1 <= mapping.devices <= jax.device_count():
+        raise ValueError(f"members: devices: expected 1 to {jax.device_count()}, found {mapping.devices}")
+    if mapping.how not in ("vmap", "loop"):
+        raise ValueError(f"members: how: expected vmap or loop, found {mapping.how!r}")
+    if mapping.sub_batch is not None and mapping.sub_batch < 1:
+        raise ValueError(f"members: sub_batch: expected at least 1, found {mapping.sub_batch}")
+    if mapping.optimisation not in (None, 0, 1, 2, 3):
+        raise ValueError(f"members: optimisation: expected null or 0 to 3, found {mapping.optimisation}")
+
+    def on_one_device(*trees: Any) -> Any:
+        if mapping.how == "loop":
+            return jax.lax.map(lambda args: one(*args), trees)
+        count = len(jax.tree.leaves(trees)[0])
+        if mapping.sub_batch is None or mapping.sub_batch >= count:
+            return jax.vmap(one)(*trees)
+        return jax.lax.map(lambda args: one(*args), trees, batch_size=mapping.sub_batch)
+
+    return over_devices(on_one_device, mapping.devices)
+
+
+def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., Any]:
+    """The same function of trees with a leading axis, that axis sharded over the first `devices` JAX devices; padded to
+    a multiple of them with copies of the last entry, which are dropped again."""
+    if devices == 1:
+        return function
+    chosen = jax.devices()[:devices]
+    mesh = jax.make_mesh((devices,), ("member",), axis_types=(AxisType.Auto,), devices=chosen)
+    spec = PartitionSpec("member")
+    sharded = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+
+    def on_devices(*trees: Any) -> Any:
+        count = len(jax.tree.leaves(trees)[0])
+        missing = -count % devices
+        padded = jax.tree.map(partial(_pad, missing=missing), trees)
+        return jax.tree.map(lambda a: a[:count], sharded(*padded))
+
+    return on_devices
+
+
+def keys_of(chosen: Sequence[Member]) -> jax.Array:
+    """One key per member, split by name: its seed, then its dataset."""
+    return jnp.stack([jax.random.fold_in(jax.random.key(m.seed), m.dataset) for m in chosen])
+
+
+def _pad(a: jax.Array, missing: int) -> jax.Array:
+    return a if missing == 0 else jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)])
+
+
+def repeat(tree: Any, count: int) -> Any:
+    """The same tree for every one of `count` members."""
+    return jax.tree.map(lambda a: jnp.broadcast_to(jnp.asarray(a)[None], (count, *jnp.shape(a))), tree)
+
+
+def select(tree: Any, member: int) -> Any:
+    """One member's tree."""
+    return jax.tree.map(lambda a: a[member], tree)
+
+
+def choose_mapping(n_members: int, n_sequences: int, devices: int) -> MemberMapping:
+    """The mapping that `benchmarks/rollout.py` finds fastest: on CPUs one after another when each member already has
+    a batch of sequences to multiply with (LGSSM: 31), all at once when each has a single long one (tanks)."""
+    how = "loop" if n_sequences >= 8 and jax.default_backend() == "cpu" else "vmap"
+    return MemberMapping(how, devices=min(devices, n_members))

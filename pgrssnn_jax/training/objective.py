@@ -1,0 +1,186 @@
+"""What training minimises, for one member.
+
+    L(θ) = Σ_t ((y_t - ŷ_t(θ)) / s_y)²,     mean over sequences; ŷ is a free run, only measured samples count
+
+θ: network weights, and, where asked, physics parameters and the initial states of the training sequences.
+Source: Li, Seth, Kok, IFAC 2026, section 4.
+
+With `ModelSpec.regularisation` λ, training alone adds for its time of T samples (Liu, Tóth, Schoukens, SYSID 2024)
+
+    λ T mean_j w(z_j) (|f_nn(z_j)|² + |g_nn(z_j)|²),     w(z): how scarce the samples [u_t, x_t] are near z
+
+at surrogate points z_j over the range of the scaled signals: where the data says little, the physics stands.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from pgrssnn_jax.models.initial_state import InitialState, first_output_states, start_state
+from pgrssnn_jax.models.model import Model, ModelParams
+from pgrssnn_jax.models.radial import scarcity, surrogate_points
+from pgrssnn_jax.models.rollout import Route, Trajectory, rollout
+from pgrssnn_jax.physics.base import Parameter, is_parameter
+from pgrssnn_jax.records.record import Array, Record, continues, valid_mask
+from pgrssnn_jax.records.scaling import Scaling
+
+
+class Trainable(NamedTuple):
+    """θ of one member. physics: (p - p_nominal) / size per parameter, so that one learning rate suits all; x0:
+    scaled x_0 `[seq, x]` of the training sequences; both None when they are not trained."""
+
+    network: Any
+    physics: Any
+    x0: Any
+
+
+class MemberData(NamedTuple):
+    """What stays fixed for one member: its records and scaling, and the epoch at which training ends at the latest."""
+
+    train: Record
+    validation: Record
+    scaling: Scaling
+    last_epoch: Int[Array, ""]
+
+
+class Loss(NamedTuple):
+    """total: L(θ); mean: mean squared scaled error; finite: did every state stay in the floating-point range?"""
+
+    total: Float[Array, ""]
+    mean: Float[Array, ""]
+    finite: Bool[Array, ""]
+
+
+class PhysicsUnits(NamedTuple):
+    """Trees of the shape of `Physics.params`: nominal value, size (|nominal|, or 1 at zero), bounds, may it move?"""
+
+    nominal: Any
+    size: Any
+    low: Any
+    high: Any
+    free: Any
+
+
+class Objective(NamedTuple):
+    """The objective of one model, as pure functions of θ and a member's data."""
+
+    model: Model
+    initial: InitialState
+    physics: PhysicsUnits
+    train_physics: bool
+    route: Route | None
+
+    def begin(self, key: jax.Array, data: MemberData) -> Trainable:
+        """θ before training: fresh weights, nominal physics, training sequences started at their first outputs."""
+        physics = jax.tree.map(jnp.zeros_like, self.physics.nominal) if self.train_physics else None
+        x0 = None
+        if self.initial.kind == "estimated":
+            x0 = data.scaling.x.to_scaled(first_output_states(self.model, data.train))
+        return Trainable(self.model.init(key), physics, x0)
+
+    def assemble(self, theta: Trainable, scaling: Scaling) -> ModelParams:
+        """The numbers of a rollout."""
+        nominal, size = self.physics.nominal, self.physics.size
+        if theta.physics is None:
+            return ModelParams(theta.network, nominal, scaling)
+        return ModelParams(
+            theta.network, jax.tree.map(lambda p, s, z: p + s * z, nominal, size, theta.physics), scaling
+        )
+
+    def within_bounds(self, theta: Trainable) -> Trainable:
+        """θ with every physics parameter inside its bounds, and at its nominal value if it may not move."""
+        if theta.physics is None:
+            return theta
+        moved = jax.tree.map(
+            lambda z, p, s, lo, hi, free: jnp.clip(z, (lo - p) / s, (hi - p) / s) if free else jnp.zeros_like(z),
+            theta.physics,
+            *self.physics,
+        )
+        return theta._replace(physics=moved)
+
+    def on_train(self, theta: Trainable, data: MemberData) -> Loss:
+        params = self.assemble(theta, data.scaling)
+        predicted = self._predicted(params, data.train, self._train_state(theta, params, data))
+        loss = _loss(params, data.train, predicted)
+        if not (self.model.spec.regularisation and self.model.spec.guided):
+            return loss
+        return loss._replace(total=loss.total + self._penalty(params, data.train, predicted.x))
+
+    def on_validation(self, theta: Trainable, data: MemberData) -> Loss:
+        return _loss(self.assemble(theta, data.scaling), data.validation, self.validate(theta, data))
+
+    def validate(self, theta: Trainable, data: MemberData) -> Trajectory:
+        """The free run over the validation record. One that is the training record with other samples measured starts
+        as that does. Where starts are estimated, one that was measured right after the training record needs none: the
+        run over the training record goes on."""
+        params, record = self.assemble(theta, data.scaling), data.validation
+        if record.info.same_run:
+            return self._predicted(params, record, self._train_state(theta, params, data))
+        if self.initial.kind != "estimated" or not continues(data.train, record):
+            return self._predicted(params, record, start_state(self.model, params, record, self.initial))
+        before = data.train.u.shape[1]
+        u = jnp.concatenate([jnp.asarray(data.train.u), jnp.asarray(record.u)], 1)
+        whole = rollout(self.model, params, u, self._train_state(theta, params, data), route=self.route)
+        return Trajectory(whole.y[:, before:], whole.x[:, before:], jnp.maximum(whole.first_bad - before, 0))
+
+    def test_state(self, theta: Trainable, data: MemberData, test: Record) -> Float[Array, "seq x"]:
+        """x_0 of the test sequences: the training record's where the benchmark says that it is shared."""
+        params = self.assemble(theta, data.scaling)
+        if not self.initial.shared:
+            return start_state(self.model, params, test, self.initial)
+        start = self._train_state(theta, params, data)[:1]
+        return jnp.broadcast_to(start, (test.u.shape[0], self.model.n_x))
+
+    def _train_state(self, theta: Trainable, params: ModelParams, data: MemberData) -> jax.Array:
+        if theta.x0 is None:
+            return start_state(self.model, params, data.train, self.initial)
+        return params.scaling.x.to_physical(theta.x0)
+
+    def _predicted(self, params: ModelParams, record: Record, x0: jax.Array) -> Trajectory:
+        return rollout(self.model, params, record.u, x0, route=self.route, valid=valid_mask(record))
+
+    def _penalty(self, params: ModelParams, record: Record, x: jax.Array) -> Float[jax.Array, ""]:
+        """The weighted regularisation of a fed-back model that predicts the states x `[seq, time, x]` of a record."""
+        networks, u = self.model.networks(params), record.u
+        if networks is None:
+            return jnp.zeros((), x.dtype)
+        n_u, n_z = u.shape[-1], u.shape[-1] + x.shape[-1]
+        samples = jnp.concatenate([params.scaling.u.to_scaled(u), params.scaling.x.to_scaled(x)], -1)
+        points, valid = jnp.asarray(surrogate_points(n_z), x.dtype), valid_mask(record)
+        counted = jnp.ones(u.shape[:2], bool) if valid is None else jnp.asarray(valid)
+        # which states are visited is not to be moved by the penalty
+        weight = scarcity(points, jax.lax.stop_gradient(samples.reshape(-1, n_z)), counted.ravel())
+        f_nn = networks.f_nn(None, networks.features_u(points))
+        g_nn = networks.g_nn(points[:, n_u:], points[:, :n_u])
+        squares = jnp.sum(f_nn**2, -1) + jnp.sum(g_nn**2, -1)
+        return self.model.spec.regularisation * u.shape[1] * jnp.mean(weight * squares)
+
+
+def _loss(params: ModelParams, record: Record, predicted: Trajectory) -> Loss:
+    y = params.scaling.y
+    error = jnp.where(record.mask, y.to_scaled(record.y) - y.to_scaled(predicted.y), 0.0)
+    squares = jnp.sum(error**2)
+    n_seq, time = record.u.shape[:2]
+    return Loss(squares / n_seq, squares / jnp.sum(record.mask), jnp.all(predicted.first_bad == time))
+
+
+def build_objective(
+    model: Model, initial: InitialState, *, train_physics: bool = False, route: Route | None = None
+) -> Objective:
+    """train_physics: are the physics parameters part of θ?"""
+    nominal = jax.tree.map(jnp.asarray, model.physics.params)
+
+    def meaning(of: Callable[[Parameter], Any]) -> Any:
+        return jax.tree.map(of, model.physics.parameters, is_leaf=is_parameter)
+
+    units = PhysicsUnits(
+        nominal,
+        size=jax.tree.map(lambda p: jnp.where(p == 0, 1.0, jnp.abs(p)), nominal),
+        low=meaning(lambda p: p.bounds[0]),
+        high=meaning(lambda p: p.bounds[1]),
+        free=meaning(lambda p: p.trainable),
+    )
+    return Objective(model, initial, units, train_physics, route)

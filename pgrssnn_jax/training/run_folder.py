@@ -1,0 +1,199 @@
+"""The run folder: what a finished, interrupted or failed run leaves behind.
+
+    config.yaml  environment.json  history.csv  metrics.json  predictions.npz  checkpoint/  figures/*.png
+    report.html  DONE           a job of a sweep that failed: FAILED, and traceback.txt where the cause is unknown
+
+Files of numbers and text are written under a temporary name and renamed; `DONE` is written last, so a folder without
+it holds a run that has not finished.
+"""
+
+import json
+import math
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+from omegaconf import OmegaConf
+
+_PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
+
+
+class RunFolder:
+    """Paths and atomic writers of one run; nothing is created before the first write."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.path / "checkpoint"
+
+    @property
+    def figures(self) -> Path:
+        return self.path / "figures"
+
+    @property
+    def finished(self) -> bool:
+        return (self.path / "DONE").exists()
+
+    @property
+    def has_checkpoint(self) -> bool:
+        return self.checkpoint.is_dir() and any(path.name.isdigit() for path in self.checkpoint.iterdir())
+
+    def begin(
+        self,
+        config_text: str,
+        *,
+        command: str | None,
+        data: Mapping[str, str],
+        choices: Mapping[str, str | None] | None = None,
+    ) -> None:
+        """Writes what is known before training: configuration, environment, command, and where the data came from.
+
+        The results of an earlier run in this folder go first: from here on the run is unfinished. command None: a
+        resumed run, whose environment and command stay on record. choices: names of the configuration's files, where
+        there were any.
+        """
+        for name in (
+            "DONE",
+            "FAILED",
+            "traceback.txt",
+            "metrics.json",
+            "predictions.npz",
+            "history.csv",
+            "report.html",
+            "discovery.json",
+            "discovery.npz",
+        ):
+            (self.path / name).unlink(missing_ok=True)
+        shutil.rmtree(self.figures, ignore_errors=True)
+        self.write_text("config.yaml", config_text)
+        if command is not None:
+            found = {**environment(), "command": command, "data": data, "choices": choices or {}}
+            self.write_json("environment.json", found)
+
+    def choices(self) -> dict[str, str | None]:
+        """The names of the configuration's files, as the run began with them; empty where none are on record."""
+        return json.loads((self.path / "environment.json").read_text(encoding="utf-8")).get("choices", {})
+
+    def check_data(self, data: Mapping[str, str]) -> None:
+        """Raises `ValueError` when the run in this folder was made from other data than `data`."""
+        before = json.loads((self.path / "environment.json").read_text(encoding="utf-8")).get("data")
+        if before != dict(data):
+            raise ValueError(f"resume: data: expected {before} as the run began with, found {dict(data)}")
+
+    def write_text(self, name: str, text: str) -> None:
+        self._replace(name, lambda path: path.write_text(text, encoding="utf-8"))
+
+    def write_json(self, name: str, content: Mapping[str, Any]) -> None:
+        self.write_text(name, json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
+
+    def write_csv(self, name: str, table: pd.DataFrame) -> None:
+        self._replace(name, lambda path: table.to_csv(path, index=False))
+
+    def write_arrays(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        def write(path: Path) -> None:
+            with path.open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **arrays)
+
+        self._replace(name, write)
+
+    def finish(self) -> None:
+        self.write_text("DONE", "")
+
+    def fail(self, reason: str, trace: str | None = None) -> None:
+        """Leaves the reason, one sentence, and the traceback of a failure that nobody expected."""
+        if trace is not None:
+            self.write_text("traceback.txt", trace)
+        self.write_text("FAILED", f"{reason}\n")
+
+    @property
+    def failure(self) -> str | None:
+        path = self.path / "FAILED"
+        return path.read_text(encoding="utf-8").strip() if path.exists() else None
+
+    def forget_failure(self) -> None:
+        for name in ("FAILED", "traceback.txt"):
+            (self.path / name).unlink(missing_ok=True)
+
+    def _replace(self, name: str, write: Callable[[Path], object]) -> None:
+        self.path.mkdir(parents=True, exist_ok=True)
+        temporary = self.path / f".{name}.partial"
+        write(temporary)
+        temporary.replace(self.path / name)
+
+
+def environment() -> dict[str, Any]:
+    """Versions, device and commit: what someone needs to explain a difference in the last digits."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cores": os.cpu_count(),
+        "devices": [str(device) for device in jax.devices()],
+        "x64": bool(jax.config.read("jax_enable_x64")),
+        "commit": _commit(),
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _commit() -> str | None:
+    """Commit of this package's checkout, with `+changes` if the tree differs; None outside a checkout of its own."""
+    package = Path(__file__).resolve().parent
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=package, capture_output=True, text=True, timeout=10, check=True)
+        return done.stdout.strip()
+
+    try:
+        if Path(git("rev-parse", "--show-toplevel")).resolve() != package.parent:
+            return None
+        return git("describe", "--always", "--dirty=+changes", "--abbrev=12")
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _without_nan(content: Any) -> Any:
+    """JSON knows no NaN or infinity: null stands for a figure that does not exist."""
+    if isinstance(content, Mapping):
+        return {str(key): _without_nan(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_without_nan(value) for value in content]
+    if isinstance(content, float | np.floating):
+        return float(content) if math.isfinite(content) else None
+    return int(content) if isinstance(content, np.integer) else content
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """The configuration that a run folder was made with. Raises `ValueError` when `folder` holds no run."""
+    path = folder / "config.yaml"
+    if not path.is_file():
+        raise ValueError(f"run folder: expected one with a config.yaml, found none in {str(folder)!r}")
+    found = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}
+
+
+def short_path(path: Path) -> str:
+    """A path as a person would type it: relative where it lies under the current folder."""
+    return str(path.relative_to(Path.cwd())) if path.is_relative_to(Path.cwd()) else str(path)
+
+
+def discard_if_empty(folder: Path) -> None:
+    """Removes a folder that nothing was written to; a run makes it again with its first file."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()

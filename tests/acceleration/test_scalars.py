@@ -1,0 +1,129 @@
+"""Functions written out in numbers, against the arrays that they came from."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from toys import toy_physics
+
+from pgrssnn_jax.acceleration.scalars import written_out
+from pgrssnn_jax.discovery.free_runs import with_derivatives
+from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+MATRIX = np.random.default_rng(0).normal(size=(4, 3))
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def outer_and_inner(a: jax.Array, b: jax.Array) -> jax.Array:
+    return (jnp.outer(a, b) @ b).ravel() + jnp.tensordot(a, a, 1)
+
+
+FUNCTIONS = {
+    "elementwise": lambda a, b: jnp.where(a > b[0], jnp.exp(a), jnp.sqrt(jnp.abs(a) + 1.0)) ** 2 - jnp.tanh(b[1]) / 3,
+    "clipped": lambda a, b: jnp.clip(a, b.min(), 0.4) + jnp.maximum(a, 0.1) * jnp.sign(a),
+    "power": lambda a, b: (jnp.abs(a) + 0.1) ** b[0],
+    "matrix": lambda a, b: MATRIX @ a + (a @ MATRIX.T)[::-1],
+    "product": outer_and_inner,
+    "joined": lambda a, b: jnp.concatenate([jnp.stack([b, b[::-1]]).T.ravel(), a[1:], a[:1]]),
+    "placed": lambda a, b: a.at[1].add(b[0]).at[0].set(b[1]).at[2].min(b[0]).at[2].max(-1.0).at[0].multiply(2.0),
+    "placed side by side": lambda a, b: a.at[1:].add(b).at[:2].multiply(b) + jnp.zeros(3).at[:].set(a).at[:2].min(-b),
+    "reduced": lambda a, b: jnp.stack([a.sum(), a.max(), jnp.outer(a, b).min(0)[1], jnp.outer(a, b).sum((0, 1))]),
+    "interpolated": lambda a, b: jnp.maximum(0.0, 1.0 - jnp.abs(jnp.arange(3.0) - b[0])) * a,
+    "split": lambda a, b: sum(jnp.split(jnp.concatenate([a, b, a]), 2)) * jnp.repeat(b, 2),
+    "passed on": lambda a, b: jnp.array([1.0, 2.0, 3.0]) + 0.0 * b[0] + a,
+    "nested": lambda a, b: jax.jit(lambda c: jnp.broadcast_to(c[None], (2, 3)).reshape(-1))(a) * jnp.repeat(b, 3),
+}
+
+
+def numbers(seed: int, shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
+    draw = np.random.default_rng(seed)
+    return draw.normal(size=(3, *shape)), draw.normal(size=(2, *shape))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_it_is_the_function_of_arrays_for_all_lanes_at_once(name):
+    function = FUNCTIONS[name]
+    program = written_out(function, (3, 2), moving=2)
+    assert program is not None
+    a, b = numbers(1, (5,))
+    da, db = numbers(2, (7, 5))  # seven tangents each
+
+    def along(da: jax.Array, db: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return jax.jvp(jax.vmap(function, -1, -1), (jnp.asarray(a), jnp.asarray(b)), (da, db))
+
+    values, tangents = jax.vmap(along, 1)(da, db)
+    found = program(*a, *b, *da, *db)
+    n = len(found) // 2
+    np.testing.assert_allclose(found[:n], values[0], rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(
+        np.stack([np.broadcast_to(t, (7, 5)) for t in found[n:]], 1), tangents, rtol=1e-12, atol=1e-14
+    )
+
+
+def test_later_arguments_may_be_without_tangents():
+    program = written_out(lambda a, b: a * b[0], (3, 2), moving=1)
+    assert program is not None
+    a, b = numbers(3, ())
+    np.testing.assert_allclose(program(*map(jnp.asarray, (*a, *b, *np.ones(3))))[3:], np.full(3, b[0]))
+
+
+def test_what_a_number_is_and_what_it_is_not():
+    """Loops, derivatives of one's own, places that depend on the numbers and long functions stay arrays."""
+
+    @jax.custom_jvp
+    def own(a: jax.Array) -> jax.Array:
+        return a
+
+    own.defjvp(lambda primals, tangents: (primals[0], 2.0 * tangents[0]))
+    for function in (
+        lambda a: jax.lax.fori_loop(0, 3, lambda i, c: c * a, a),
+        own,
+        lambda a: jnp.zeros(3).at[jnp.argmax(a)].set(1.0),
+        lambda a: jnp.exp(jnp.arange(1000.0) * a[0])[:2],
+        lambda a: jnp.ones((300, 3)) @ a,
+        lambda a: jnp.broadcast_to(a, (300, 3)).sum(0),
+    ):
+        assert written_out(function, (3,), moving=1) is None
+
+
+PLANTS = {
+    "tanks": lambda: cascaded_tanks(integrator="rk4"),
+    "tanks by one step": cascaded_tanks,
+    "linear": lambda: linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]]),
+    "toy": toy_physics,
+    "toy, measured before": lambda: toy_physics("before_step"),
+}
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_free_runs_have_the_same_derivatives_either_way(plant, seed):
+    """The whole catalogue in it, from neutral numbers, some of which are infinite, and from empty states."""
+    physics = PLANTS[plant]()
+    problem = build_problem(physics, catalogue(physics))
+    assert problem.code.written_out is not None
+    draw = np.random.default_rng(seed)
+    lanes, p = 3, len(problem.theta)
+    theta = np.repeat(problem.theta[:, None], lanes, 1)
+    theta[:, 1] *= 1.01
+    x0 = draw.uniform(0.0, 8.0, (len(problem.full.states), 2, lanes)) * (np.arange(lanes) > 0)
+    u = draw.uniform(-1.0, 4.0, (20, len(physics.inputs), 2))
+    places = [i for i in range(p) if np.isfinite(problem.theta[i])]
+    free = np.stack([draw.permutation(places)[:5] for _ in range(lanes)])
+    free[0, 3:] = -1
+    arguments = tuple(map(jnp.asarray, (u, theta, x0, free)))
+    found = with_derivatives(problem.code, *arguments)
+    expected = with_derivatives(replace(problem.code, written_out=None), *arguments)
+    for one, other in zip(found, expected, strict=True):
+        assert np.isfinite(other).all()
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)

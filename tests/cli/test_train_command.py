@@ -1,0 +1,287 @@
+"""python train.py, as a user types it: what it leaves, how it stops, how it goes on, what it says to bad input."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import QUICK, ROOT, command, composed, planned, start, trained, write_benchmark
+
+from pgrssnn_jax.cli.resume import resume_config
+from pgrssnn_jax.training.finished import load_run
+from pgrssnn_jax.training.run_folder import read_config
+
+FILES = {
+    "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "checkpoint", "figures",
+    "report.html", "DONE",
+}  # fmt: skip
+
+
+@pytest.fixture
+def benchmark(tmp_path) -> Path:
+    return write_benchmark(tmp_path / "tanks.csv", samples=160)
+
+
+def quick(benchmark: Path, *more: str) -> list[str]:
+    return ["+experiment=cascaded_tank", f"data.path={benchmark}", "data.n_validation=40", *QUICK, *more]
+
+
+def test_a_run_leaves_the_folder_of_the_contract(tmp_path, benchmark):
+    code, out, err = command(*quick(benchmark), "hydra.run.dir=run", cwd=tmp_path)
+    assert code == 0, err
+    run = tmp_path / "run"
+    assert {path.name for path in run.iterdir()} == FILES
+    assert {path.name for path in (run / "figures").iterdir()} >= {"prediction.png", "training.png", "members.png"}
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["schema"] == 1
+    assert (metrics["system"], metrics["model"], metrics["source"], metrics["n_init"]) == (
+        "tanks",
+        "pg_rssnn",
+        "file",
+        0,
+    )
+    assert [(m["seed"], m["dataset"], m["status"]) for m in metrics["members"]] == [(0, 0, "ok"), (1, 0, "ok")]
+    assert set(metrics["members"][0]["test"]) == {"rmse", "nrmse", "fit_percent", "cc"}
+    assert {"planned": 2, "finished": 2, "failed": 0}.items() <= metrics["summary"].items()
+    assert set(metrics["summary"]["by_n_init"]) == {"0", "5", "50"}
+    with np.load(run / "predictions.npz") as arrays:
+        y, y_hat, mean = arrays["y"], arrays["y_hat"], arrays["ensemble_mean"]
+    again = np.sqrt(((y - y_hat) ** 2).mean((1, 2, 3)))
+    assert [m["test"]["rmse"][0] for m in metrics["members"]] == pytest.approx(again, rel=1e-4)
+    assert metrics["summary"]["rmse_mean"] == pytest.approx(again.mean(), rel=1e-4)
+    assert metrics["summary"]["rmse_ensemble"] == pytest.approx(np.sqrt(((y - mean) ** 2).mean()), rel=1e-4)
+    history = pd.read_csv(run / "history.csv")
+    assert list(history) == ["epoch", "seed", "dataset", "train_loss", "validation_loss"]
+    assert len(history) == 4
+    environment = json.loads((run / "environment.json").read_text())
+    assert environment["command"].startswith("python train.py +experiment=cascaded_tank")
+    assert f"{metrics['summary']['rmse_mean']:.3f}"[:4] in out
+
+
+def test_an_interrupted_run_is_whole_and_resumes_to_the_same_numbers(tmp_path, benchmark):
+    """Ctrl-C after the first chunks; the resumed run ends like one that nobody stopped, bit for bit."""
+    long = [
+        "+experiment=cascaded_tank", f"data.path={benchmark}", "n_seeds=2",
+        "data.n_validation=40", "fit.epochs=2000", "fit.patience=2000",
+    ]  # fmt: skip
+    process = start(*long, "hydra.run.dir=stopped", cwd=tmp_path)
+    assert process.stdout is not None
+    while "epoch" not in (line := process.stdout.readline()):
+        assert line, process.communicate()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "continue with: python train.py resume=stopped" in err
+    assert not (tmp_path / "stopped" / "DONE").exists()
+    stopped_at = pd.read_csv(tmp_path / "stopped" / "history.csv")["epoch"].max()
+    assert 0 < stopped_at < 2000
+    code, _, err = command("resume=stopped", cwd=tmp_path)
+    assert code == 0, err
+    code, _, err = command(*long, "hydra.run.dir=whole", cwd=tmp_path)
+    assert code == 0, err
+    for name in ("history.csv",):
+        assert (tmp_path / "stopped" / name).read_text() == (tmp_path / "whole" / name).read_text()
+    resumed, whole = (json.loads((tmp_path / f / "metrics.json").read_text()) for f in ("stopped", "whole"))
+    assert resumed["members"] == whole["members"]
+    assert resumed["summary"] == whole["summary"]
+    assert (tmp_path / "stopped" / "DONE").exists()
+    assert (
+        sorted(path.name for path in tmp_path.iterdir()) == ["runs", "stopped", "tanks.csv", "whole"]
+        or not (tmp_path / "runs").exists()
+    )
+
+
+def test_a_sweep_leaves_a_folder_per_job(tmp_path, benchmark):
+    arguments = quick(benchmark, "n_seeds=1", "seed=3,4", "hydra.sweep.dir=sweep")
+    code, _, err = command("-m", *arguments, cwd=tmp_path)
+    assert code == 0, err
+    seeds = [
+        json.loads(p.read_text())["members"][0]["seed"] for p in sorted((tmp_path / "sweep").glob("*/metrics.json"))
+    ]
+    assert seeds == [3, 4]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["+experiment=cascaded_tank", "model=unknown"], "model/unknown"),
+        (["+experiment=cascaded_tank", "fit.epohcs=3"], "fit.epohcs"),
+        (["+experiment=cascaded_tank", "data.path=none.csv"], "none.csv"),
+        ([], "physics._target_: expected +experiment=cascaded_tank"),
+        (["resume=none"], "run folder: expected one with a config.yaml"),
+    ],
+)
+def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, arguments, sentence):
+    code, out, err = command(*arguments, cwd=tmp_path)
+    assert code == 2, err
+    assert sentence in err + out
+    assert "Traceback" not in err
+    assert not list(tmp_path.rglob("*.*"))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "sentence"),
+    [
+        (["fit.epochs=many"], "fit.epochs: expected int, found 'many'"),
+        (["fit.optimizer=sgd"], "fit.optimizer: expected adam | adamw, found 'sgd'"),
+        (["model.activation=tanh"], "model.activation: expected relu | sigmoid, found 'tanh'"),
+        (["model.hidden=0"], "model: hidden and gru_layers: expected at least 1"),
+        (["model.guided=false", "model.networks=false"], "expected at least one of them to be true"),
+        (["initial_state=guessed"], "initial_state.kind: expected zero | scaled_zero | first_output | estimated"),
+        (["initial_state=estimated", "n_init=0"], "n_init: expected at least 1 sample"),
+        (["initial_state=estimated", "n_init=4000"], "n_init: expected fewer than"),
+        (["n_seeds=0"], "n_seeds: expected 1 to 1000000, found 0"),
+        (["seed=-1"], "seed: expected 0 to 2147483647, found -1"),
+        (["report_n_init=[]"], "report_n_init: expected a count below the 160 samples"),
+        (["report_n_init=[2000]"], "report_n_init: expected a count below the 160 samples"),
+        (["report_n_init=many"], "report_n_init: expected a list of sample counts"),
+        (["+foo=bar"], "configuration: expected the keys"),
+        (["seed=99999999999999999999"], "seed: expected 0 to"),
+        (["fit.clip_norm=-1"], "fit: clip_norm: expected a positive number, found -1"),
+        (["fit.checkpoint_seconds=abc"], "fit.checkpoint_seconds: expected float, found 'abc'"),
+        (["data.shared_initial_state=perhaps"], "data.shared_initial_state: expected bool, found 'perhaps'"),
+        (["physics.k1=2.0"], "physics 'tanks': k1: expected 0 to 1 sqrt(V)/s, found 2.0"),
+        (["physics._target_=no_such.physics"], "physics._target_: expected an importable function"),
+        (["physics._target_=os.getcwd"], "physics: expected the keys []"),
+        (["physics.integrator=heun"], "physics: integrator: expected one of"),
+        (["physics.dt=fast"], "physics.dt: expected float, found 'fast'"),
+        (["physics.dt=-4"], "dt: expected a positive sample time"),
+        (["members.devices=99"], "members: devices: expected 1 to 2, found 99"),
+        (["members.how=threads"], "members.how: expected vmap | loop, found 'threads'"),
+        (["data.n_train=0"], "n_train"),
+        (["data.n_validation=160"], "n_validation"),
+    ],
+)
+def test_a_value_that_does_not_fit_is_named(benchmark, overrides, sentence):
+    base = ["+experiment=cascaded_tank", f"data.path={benchmark}", "data.n_validation=40"]
+    with pytest.raises(ValueError) as caught:
+        planned(*base, *overrides)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_physics_only_runs_one_member_because_all_would_be_equal(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark, "model=physics_only"))
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["summary"]["planned"] == 1
+    assert metrics["members"][0]["best_epoch"] == 0
+
+
+def test_resume_refuses_another_run_and_takes_more_epochs(tmp_path, benchmark):
+    saved = composed(*quick(benchmark))
+    longer = {**saved, "fit": {**saved["fit"], "epochs": 9}}
+    for given in (["fit.epochs=9", "resume=x"], ["+experiment=cascaded_tank", "fit.epochs=9"]):
+        assert resume_config(longer, saved, given, tmp_path) == {**longer, "resume": str(tmp_path)}
+    assert resume_config(longer, saved, ["resume=x"], tmp_path) == {**saved, "resume": str(tmp_path)}
+    other = {**saved, "model": {**saved["model"], "hidden": 8}}
+    assert resume_config(other, saved, ["seed=0"], tmp_path)["model"]["hidden"] == 3
+    with pytest.raises(ValueError, match=r"resume: model.hidden: expected 3 as in .*config.yaml, found 8"):
+        resume_config(other, saved, ["model.hidden=8"], tmp_path)
+
+
+def test_a_killed_run_resumes_from_its_first_checkpoint(tmp_path, benchmark):
+    """SIGKILL before anything was trained: the run is there, unfinished, and resumes to its end."""
+    arguments = ["+experiment=cascaded_tank", f"data.path={benchmark}", "data.n_validation=40", "n_seeds=2"]
+    process = start(*arguments, "fit.epochs=40", "hydra.run.dir=killed", cwd=tmp_path)
+    while not (tmp_path / "killed/checkpoint/0").exists() and process.poll() is None:
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert not (tmp_path / "killed/DONE").exists()
+    code, _, err = command("resume=killed", "fit.epochs=60", cwd=tmp_path)
+    assert code == 0, err
+    assert pd.read_csv(tmp_path / "killed/history.csv")["epoch"].max() == 60
+    assert read_config(tmp_path / "killed")["fit"]["epochs"] == 60
+    assert json.loads((tmp_path / "killed/environment.json").read_text())["command"].endswith("fit.epochs=40")
+
+
+def test_a_run_folder_without_a_checkpoint_is_named(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark))
+    shutil.rmtree(run.checkpoint)
+    code, _, err = command("resume=run", cwd=tmp_path)
+    assert code == 2
+    assert "checkpoint: expected one in" in err
+    assert run.finished
+
+
+def test_a_run_resumes_on_its_own_data_alone(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark))
+    before = (run.path / "metrics.json").read_text()
+    write_benchmark(benchmark, samples=160, seed=1)
+    code, _, err = command("resume=run", "fit.epochs=9", cwd=tmp_path)
+    assert code == 2
+    assert "resume: data: expected" in err
+    assert (run.path / "metrics.json").read_text() == before
+    assert run.finished
+
+
+def test_a_run_cannot_be_resumed_to_fewer_epochs(tmp_path, benchmark):
+    trained(tmp_path / "run", *quick(benchmark))
+    code, _, err = command("resume=run", "fit.epochs=1", cwd=tmp_path)
+    assert code == 2
+    assert "resume: fit.epochs: expected at least the 2 already trained, found 1" in err
+
+
+def test_a_stop_before_training_writes_nothing(tmp_path):
+    """Ctrl-C while the data is read."""
+    (tmp_path / "slow.py").write_text(
+        "import os, signal\nfrom pgrssnn_jax.physics.tanks import cascaded_tanks\n"
+        "def physics():\n    os.kill(os.getpid(), signal.SIGINT)\n    return cascaded_tanks()\n"
+    )
+    path = write_benchmark(tmp_path / "tanks.csv", samples=160)
+    code, _, err = command(
+        "physics._target_=slow.physics", "data=cascaded_tank", f"data.path={path}", "data.n_validation=40", cwd=tmp_path
+    )
+    assert code == 130
+    assert "stopped before training; nothing was written" in err
+    assert not list(tmp_path.rglob("config.yaml"))
+
+
+def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark, "data.published_scaling=true", "initial_state=zero"))
+    with np.load(run.path / "predictions.npz") as arrays:
+        u, y_hat, x0 = arrays["u"][0], arrays["y_hat"][:, 0], arrays["x0"][0, 0]
+    benchmark.unlink()
+    again = load_run(run.path).simulate(u, x0)
+    with pytest.raises(ValueError, match=r"simulate: x0: expected shape \(2,\), found \(3,\)"):
+        load_run(run.path).simulate(u, np.zeros(3))
+    np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
+    with pytest.raises(ValueError, match="run folder: expected one"):
+        load_run(tmp_path)
+
+
+def test_a_second_run_in_the_same_folder_replaces_the_first(tmp_path, benchmark):
+    trained(tmp_path / "run", *quick(benchmark))
+    run = trained(tmp_path / "run", *quick(benchmark, "n_seeds=1", "model.hidden=2"))
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["summary"]["planned"] == 1
+    assert run.finished
+
+
+def test_the_wrong_pinocchio_and_missing_packages_are_named(monkeypatch, tmp_path):
+    from pgrssnn_jax.cli import entry
+
+    monkeypatch.setattr(entry, "_installed", lambda name: name == "pinocchio")
+    assert "unrelated package 'pinocchio'" in str(entry.package_problem())
+    monkeypatch.setattr(entry, "_installed", lambda name: True)
+    assert entry.package_problem() is None
+    monkeypatch.setattr(entry.util, "find_spec", lambda name: None if name == "flax" else True)
+    assert "expected flax, found none installed" in str(entry.package_problem())
+    with pytest.raises(SystemExit) as ended:
+        entry.check_packages()
+    assert ended.value.code == 2
+    assert shutil.which("make")  # the sentence points to it
+
+
+def test_without_any_package_the_command_ends_with_one_sentence():
+    standard_library_alone = [sys.executable, "-S", ROOT / "train.py"]
+    ended = subprocess.run(standard_library_alone, capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith("error: packages: expected jax, flax, optax")
+    assert ended.stderr.count("\n") == 1

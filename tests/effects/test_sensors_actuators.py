@@ -1,0 +1,145 @@
+"""Effects of any system, around a toy with two inputs, two outputs and three states whose loop is plain NumPy."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from toys import TOY_PARAMS, quick_jit, toy_measure, toy_physics, toy_step
+
+from pgrssnn_jax.effects.base import add
+from pgrssnn_jax.effects.sensors_actuators import LONGEST_DELAY, any_system_effects
+
+pytestmark = pytest.mark.usefixtures("x64")
+DT = 0.5
+U = np.random.default_rng(4).normal(size=(40, 2))
+X0 = np.array([0.2, -0.1, 0.4])
+READS = ["after_step", "before_step"]
+
+
+def changed(name, numbers, output_timing="after_step"):
+    physics = toy_physics(output_timing)
+    one = next(e for e in any_system_effects(physics) if e.name == name)
+    return add(physics, one, numbers={name: numbers})
+
+
+def outputs(name, numbers, output_timing="after_step", memory=()) -> np.ndarray:
+    """y `[time, 2]` of the free run with an effect."""
+    physics = changed(name, numbers, output_timing)
+
+    def body(x, u):
+        new = physics.step(physics.params, x, u)
+        return new, physics.measure(physics.params, new if output_timing == "after_step" else x, u)
+
+    return np.asarray(quick_jit(lambda x, u: jax.lax.scan(body, x, u)[1])(np.concatenate([X0, memory]), U))
+
+
+def plain(u_step, u_measure=None, output_timing="after_step") -> np.ndarray:
+    x, found = X0, []
+    for a, b in zip(u_step, u_step if u_measure is None else u_measure, strict=True):
+        new = toy_step(TOY_PARAMS, x, a)
+        found.append(toy_measure(TOY_PARAMS, new if output_timing == "after_step" else x, b))
+        x = new
+    return np.stack(found)
+
+
+ON_INPUT = {
+    "input_offset": ({"offset": [0.3, -0.2]}, lambda u: u + np.array([0.3, -0.2])),
+    "input_gain": ({"gain": [1.3, 0.6]}, lambda u: u * [1.3, 0.6]),
+    "input_saturation": ({"low": [-0.5, -np.inf], "high": [0.7, 0.2]}, lambda u: np.clip(u, [-0.5, -9], [0.7, 0.2])),
+    "input_dead_zone": ({"width": [0.4, 0.0]}, lambda u: u - np.clip(u, [-0.4, 0.0], [0.4, 0.0])),
+}
+ON_OUTPUT = {
+    "sensor_offset": ({"offset": [0.3, -0.2]}, lambda y: y + np.array([0.3, -0.2])),
+    "sensor_gain": ({"gain": [1.3, 0.6]}, lambda y: y * [1.3, 0.6]),
+    "sensor_saturation": ({"low": [-0.1, -np.inf], "high": [0.2, 0.3]}, lambda y: np.clip(y, [-0.1, -9], [0.2, 0.3])),
+}
+
+
+@pytest.mark.parametrize("output_timing", READS)
+@pytest.mark.parametrize("name", sorted(ON_INPUT))
+def test_inputs_are_changed_on_their_way_in(name, output_timing):
+    numbers, change = ON_INPUT[name]
+    expected = plain(change(U), output_timing=output_timing)
+    assert np.abs(expected - plain(U, output_timing=output_timing)).max() > 0.01
+    np.testing.assert_allclose(outputs(name, numbers, output_timing), expected, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("output_timing", READS)
+@pytest.mark.parametrize("name", sorted(ON_OUTPUT))
+def test_outputs_are_changed_on_their_way_out(name, output_timing):
+    numbers, change = ON_OUTPUT[name]
+    expected = change(plain(U, output_timing=output_timing))
+    assert np.abs(expected - plain(U, output_timing=output_timing)).max() > 0.01
+    np.testing.assert_allclose(outputs(name, numbers, output_timing), expected, rtol=1e-12, atol=1e-14)
+
+
+def delayed(samples: int) -> np.ndarray:
+    """U moved back by whole samples, the first value held."""
+    late = np.roll(U, samples, axis=0)
+    late[:samples] = U[0]
+    return late
+
+
+HELD = np.tile(U[0], LONGEST_DELAY)
+
+
+@pytest.mark.parametrize("samples", range(LONGEST_DELAY + 1))
+def test_a_delay_of_whole_samples_moves_the_input(samples):
+    found = outputs("input_delay", {"delay": samples * DT}, memory=HELD)
+    np.testing.assert_allclose(found, plain(delayed(samples), U), rtol=1e-12, atol=1e-14)
+
+
+@settings(max_examples=8, deadline=None)
+@given(whole=st.integers(0, LONGEST_DELAY - 1), part=st.floats(0.0, 1.0))
+def test_a_delay_between_samples_interpolates(whole, part):
+    with jax.enable_x64(True):
+        found = outputs("input_delay", {"delay": (whole + part) * DT}, memory=HELD)
+    mixed = (1 - part) * delayed(whole) + part * delayed(whole + 1)
+    np.testing.assert_allclose(found, plain(mixed, U), rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("samples", [0.3, 2.0, 15.0])
+def test_a_lag_is_the_mean_of_the_first_order_system_over_each_sample(samples):
+    """From 5000 small steps of dz/dt = (u - z) / T by the implicit midpoint rule, T in samples."""
+    z, steps, means = np.array([0.5, -1.0]), 5000, []
+    for u in U:
+        middles = []
+        for _ in range(steps):
+            after = ((2 * samples * steps - 1) * z + 2 * u) / (2 * samples * steps + 1)
+            middles.append((z + after) / 2)
+            z = after
+        means.append(np.mean(middles, 0))
+    found = outputs("input_lag", {"time_constant": samples * DT}, memory=np.array([0.5, -1.0]))
+    np.testing.assert_allclose(found, plain(np.array(means), U), rtol=1e-7, atol=1e-9)
+
+
+def test_memories_say_which_input_they_hold():
+    for name, count in (("input_delay", LONGEST_DELAY), ("input_lag", 1)):
+        memory = changed(name, {}).states[3:]
+        assert [s.memory_of for s in memory] == ["f", "g"] * count
+        assert len({s.name for s in memory}) == 2 * count
+
+
+def test_a_lag_has_a_finite_slope_where_there_is_none():
+    physics = changed("input_lag", {})
+    x, u = jnp.concatenate([X0, U[0]]), jnp.asarray(U[1])
+    slope = jax.jacfwd(lambda tau: physics.step({**physics.params, "input_lag": {"time_constant": tau}}, x, u))(0.0)
+    assert np.isfinite(slope).all()
+
+
+def test_saturations_act_where_a_signal_is_beyond_its_limits():
+    for one in any_system_effects(toy_physics()):
+        if one.name == "input_saturation":
+            acting = one.active({"low": np.array([-0.5, -np.inf]), "high": np.array([np.inf, 0.2])}, U[:, :1] * 0, U)
+            np.testing.assert_array_equal(acting, (U[:, 0] < -0.5) | (U[:, 1] > 0.2))
+        if one.name == "input_dead_zone":
+            acting = one.active({"width": np.array([0.4, 0.0])}, U[:, :1] * 0, U)
+            np.testing.assert_array_equal(acting, np.abs(U[:, 0]) < 0.4)
+        if one.name == "sensor_saturation":
+            x = np.random.default_rng(1).normal(size=(40, 3))
+            y = np.stack([toy_measure(TOY_PARAMS, *pair) for pair in zip(x, U, strict=True)])
+            wide = np.concatenate([x, U], 1)  # memory states of other effects lie behind
+            acting = one.active({"low": np.array([-0.1, -0.5]), "high": np.array([0.5, 0.6])}, wide, U)
+            np.testing.assert_array_equal(acting, ((y < [-0.1, -0.5]) | (y > [0.5, 0.6])).any(1))

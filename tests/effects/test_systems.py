@@ -1,0 +1,108 @@
+"""Names are what scripts and files hold on to: which effects a system has, and how they are read from JSON."""
+
+import numpy as np
+import pytest
+from toys import toy_physics
+
+from pgrssnn_jax.effects.systems import add_named, catalogue, system_of
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+ANY = {
+    "sensor_offset", "sensor_saturation", "sensor_gain", "input_offset", "input_delay", "input_saturation",
+    "input_dead_zone", "input_gain",
+}  # fmt: skip
+TANKS = {
+    "overflow_1to2", "overflow_lost", "tank2_overflow", "pump_dead_zone", "pump_saturation", "pump_nonlinearity",
+    "leak_tank1", "bypass", "outlet_exponent",
+}  # fmt: skip
+LGSSM = {"input_saturation", "input_offset", "sensor_offset", "feedthrough", "quadratic_damping"}
+ARM = {
+    "viscous_friction", "coulomb_friction", "stribeck_friction", "torque_bias", "torque_gain", "velocity_disturbance",
+    "payload", "gravity_counterbalance", "rotor_inertia", "joint_limit", "gravity_direction", "home_offset",
+    "wrist_coupling", "stiction",
+}  # fmt: skip
+
+
+def state_space():
+    return linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+
+
+def names(physics, without=()):
+    return [effect.name for effect in catalogue(physics, without)]
+
+
+def test_every_system_has_the_names_of_the_design():
+    assert set(names(toy_physics())) >= ANY
+    assert set(names(state_space())) >= LGSSM | ANY
+    assert set(names(cascaded_tanks())) >= TANKS | (ANY - {"input_saturation", "input_dead_zone"})
+    assert set(names(arm())) == ARM
+
+
+def test_a_pump_has_one_name_for_what_an_input_would_have():
+    assert not {"input_saturation", "input_dead_zone"} & set(names(cascaded_tanks()))
+    assert not TANKS & set(names(state_space()))
+
+
+@pytest.mark.parametrize("name", ["arm", "lgssm", "tanks", "any"])
+def test_a_name_alone_does_not_make_a_system(name):
+    own = toy_physics()._replace(name=name)
+    assert system_of(own) == "any"
+    assert names(own) == names(toy_physics())
+
+
+def test_the_librarys_systems_are_known():
+    assert [system_of(p) for p in (arm(), state_space(), cascaded_tanks())] == ["arm", "lgssm", "tanks"]
+
+
+@pytest.mark.parametrize("build", [cascaded_tanks, state_space, toy_physics, arm])
+def test_names_are_unique_and_simpler_effects_exist(build):
+    found = catalogue(build())
+    assert len({effect.name for effect in found}) == len(found)
+    for effect in found:
+        assert set(effect.simpler) <= {other.name for other in found} - {effect.name}
+
+
+def test_effects_can_be_left_out_by_name_in_the_same_order():
+    whole = names(cascaded_tanks())
+    assert names(cascaded_tanks(), ["bypass", "input_lag"]) == [n for n in whole if n not in ("bypass", "input_lag")]
+
+
+@pytest.mark.parametrize("name", ["overflow", "input_saturation", "", "Bypass"])
+def test_unknown_names_are_refused(name):
+    with pytest.raises(
+        ValueError, match=rf"effects: expected some of \[.*'bypass'.*\] of physics 'tanks', found '{name}'"
+    ):
+        catalogue(cascaded_tanks(), [name])
+    with pytest.raises(ValueError, match=rf"effects: expected some of .* of physics 'tanks', found '{name}'"):
+        add_named(cascaded_tanks(), {name: {}})
+
+
+def test_null_in_a_file_is_no_limit():
+    physics = add_named(
+        toy_physics(),
+        {"input_saturation": {"low": [None, -1.0], "high": [2.0, None]}, "sensor_saturation": {"low": [None, None]}},
+    )
+    np.testing.assert_array_equal(physics.params["input_saturation"]["low"], [-np.inf, -1.0])
+    np.testing.assert_array_equal(physics.params["input_saturation"]["high"], [2.0, np.inf])
+    np.testing.assert_array_equal(physics.params["sensor_saturation"]["low"], [-np.inf, -np.inf])
+    np.testing.assert_array_equal(physics.params["sensor_saturation"]["high"], [np.inf, np.inf])
+    tanks = add_named(cascaded_tanks(), {"overflow_lost": {"level": None}, "pump_saturation": {"voltage": 3}})
+    assert tanks.params["overflow_lost"]["level"] == np.inf
+    assert tanks.params["pump_saturation"]["voltage"] == 3.0
+    assert tanks.params["pump_saturation"]["voltage"].dtype == np.float64
+
+
+def test_named_effects_come_in_the_catalogues_order_whatever_the_files():
+    given = {"sensor_offset": {"offset": [0.1]}, "input_delay": {"delay": 4.0}, "leak_tank1": {"rate": 0.001}}
+    one, other = (add_named(cascaded_tanks(), numbers) for numbers in (given, dict(reversed(given.items()))))
+    order = [name for name in names(cascaded_tanks()) if name in given]
+    assert [name for name in one.params if name in given] == [name for name in other.params if name in given] == order
+
+
+def test_named_numbers_are_checked():
+    with pytest.raises(ValueError, match="found 'speed'"):
+        add_named(cascaded_tanks(), {"leak_tank1": {"speed": 1.0}})
+    with pytest.raises(ValueError, match=r"sensor_offset.offset: expected shape \(1,\)"):
+        add_named(cascaded_tanks(), {"sensor_offset": {"offset": [0.1, 0.2]}})

@@ -1,0 +1,104 @@
+"""Members that take turns in what they set aside: every sample validates once, and what is set aside is not seen."""
+
+import jax
+import numpy as np
+import pytest
+from commands import planned
+from small import simulated, small_fit
+
+from pgrssnn_jax.models.initial_state import InitialState
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+from pgrssnn_jax.records.record import Record, cast, crop, stack
+from pgrssnn_jax.records.splits import KFold, kfold_masks
+from pgrssnn_jax.training.members import select
+
+SAMPLES, TRAINED = 50, 35
+
+
+def measured_once() -> Record:
+    """A record with a gap in its measurements."""
+    whole = simulated(cascaded_tanks(), samples=SAMPLES, seed=1, noise=0.1)
+    mask = whole.mask.copy()
+    mask[:, 11:14] = False
+    return whole._replace(mask=mask)
+
+
+def shared(whole: Record, seeds: list[int], folds: KFold) -> tuple[Record, Record]:
+    parts = crop(whole, 0, TRAINED), crop(whole, TRAINED, SAMPLES)
+    return kfold_masks(*(stack([part] * len(seeds)) for part in parts), seeds, folds)
+
+
+@pytest.mark.parametrize(("folds", "block"), [(2, 1), (3, 4), (5, 10)])
+def test_every_measured_sample_validates_in_one_fold_and_trains_in_the_others(folds: int, block: int) -> None:
+    whole = measured_once()
+    train, validation = shared(whole, list(range(7, 7 + folds)), KFold(folds, block))
+    assert not (train.mask & validation.mask).any()
+    np.testing.assert_array_equal(validation.mask.sum(0), whole.mask.astype(int))
+    np.testing.assert_array_equal(train.mask.sum(0), (folds - 1) * whole.mask.astype(int))
+    for part in (train, validation):
+        assert np.array_equal(part.u, np.stack([whole.u] * folds))
+        assert np.array_equal(part.y[0], whole.y)
+
+
+def test_a_member_is_determined_by_its_seed_and_blocks_are_set_aside_whole() -> None:
+    train, _ = shared(measured_once()._replace(mask=np.ones((1, SAMPLES, 1), bool)), [4, 1, 7], KFold(3, 5))
+    aside = ~train.mask[:, 0, :, 0]
+    assert (aside == aside[0]).all()
+    assert np.array_equal(np.flatnonzero(aside[0]), [*range(5, 10), *range(20, 25), *range(35, 40)])
+
+
+@pytest.mark.parametrize("start", ["first_output", "estimated"])
+def test_what_a_member_sets_aside_does_not_reach_its_training(start: str) -> None:
+    fit, data = small_fit(initial=InitialState(start, 5), members=1)
+    train, validation = shared(measured_once(), [0], KFold(5, 5))
+    data = select(data._replace(train=train, validation=validation), 0)
+    other = data._replace(train=data.train._replace(y=np.where(data.train.mask, data.train.y, 9.0)))
+    theta, changed = (jax.jit(fit.objective.begin)(jax.random.key(0), d) for d in (data, other))
+    gradient = jax.jit(jax.grad(lambda theta, d: fit.objective.on_train(theta, d).total))
+    seen, unseen = (theta, gradient(theta, data)), (changed, gradient(changed, other))
+    for a, b in zip(jax.tree.leaves(seen), jax.tree.leaves(unseen), strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_the_errors_set_aside_add_up_to_those_of_one_run_over_the_whole_record() -> None:
+    whole, folds = cast(simulated(cascaded_tanks(), samples=SAMPLES, seed=1, noise=0.1), np.float32), 4
+    fit, data = small_fit(initial=InitialState("zero"), members=1)
+    data = select(data, 0)
+    theta = fit.objective.begin(jax.random.key(0), data)
+    train, validation = shared(whole, list(range(folds)), KFold(folds, 6))
+    aside = 0.0
+    for member in range(folds):
+        own = data._replace(train=select(train, member), validation=select(validation, member))
+        loss = fit.objective.on_validation(theta, own)
+        aside += float(loss.mean) * own.validation.mask.sum()
+    together = float(fit.objective.on_train(theta, data._replace(train=whole)).total)
+    np.testing.assert_allclose(aside, together, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["data.folds=1"], "data.folds: expected 0 .the split of the data. or at least 2, found 1"),
+        (["data.folds=5", "data.block=0"], "data.block: expected between 1 and .* samples, found 0"),
+        (["data.folds=5", "data.n_train=100"], "data.folds: expected 0 where validation does not go on"),
+        (["data.folds=5", "data.block=300"], "at least folds x block = 1500 samples to share, found 1024"),
+    ],
+)
+def test_a_record_that_cannot_be_shared_is_answered_with_one_sentence(more: list[str], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        planned("+experiment=cascaded_tank", "data.generated=true", *more)
+
+
+def test_a_fold_in_which_nothing_was_measured_is_named() -> None:
+    whole = measured_once()
+    whole = whole._replace(mask=whole.mask & (np.arange(SAMPLES) // 10 % 5 != 3)[None, :, None])
+    with pytest.raises(ValueError, match="measured samples to validate on in every fold"):
+        shared(whole, [0, 3], KFold(5, 10))
+    shared(whole, [0, 1], KFold(5, 10))  # no member sets that fold aside
+
+
+def test_members_of_an_experiment_share_one_run_and_report_what_they_set_aside() -> None:
+    plan = planned("+experiment=cascaded_tank", "data.generated=true", "data.folds=5")
+    assert plan.data.train.u.shape[:3] == (10, 1, 1024)
+    assert np.array_equal(plan.measured.validation.mask, plan.data.validation.mask)
+    assert (plan.data.train.info.same_run, plan.data.validation.info.same_run) == (False, True)

@@ -1,0 +1,118 @@
+"""From predictions to metrics.json: nothing is lost, nothing is averaged over silently."""
+
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small import INFO, small_fit
+
+from pgrssnn_jax.records.record import Record, record, stack
+from pgrssnn_jax.records.scaling import Affine, Units
+from pgrssnn_jax.training import evaluation as evaluate
+from pgrssnn_jax.training.evaluation import Predictions
+from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
+from pgrssnn_jax.training.optimise import MemberStatus
+
+MEMBERS = [Member(0, 0), Member(1, 0), Member(2, 0)]
+
+
+def measured(samples: int = 20, seed: int = 0) -> Record:
+    rng = np.random.default_rng(seed)
+    return record(rng.normal(size=(2, samples, 1)), rng.normal(size=(2, samples, 1)), INFO)
+
+
+@cache
+def begun():
+    fit, data = small_fit()
+    return jax.jit(map_members(fit.begin, MemberMapping()))(keys_of(MEMBERS), data)
+
+
+def case(outcomes=(0, 1, 0), finite=(True, True, True)):
+    """Three members that are wrong by 1, 2 and 3 V everywhere."""
+    state = begun()._replace(
+        outcome=jnp.array(outcomes, jnp.int32), best_epoch=jnp.array([5, 6, 7]), epoch=jnp.array([9, 9, 9])
+    )
+    test = stack([measured()] * 3)
+    wrong = np.array([1.0, 2.0, 3.0])[:, None, None, None]
+    predictions = Predictions(test.y + wrong, test.y - wrong, np.array(finite), np.zeros((3, 2, 2)))
+    return state, test, predictions
+
+
+def rows_of(state, test, predictions, n_inits=(0, 5)):
+    return evaluate.member_rows(MEMBERS, state, predictions, validation=test, test=test, n_inits=n_inits)
+
+
+def test_every_member_has_its_figures_and_its_reason():
+    rows = rows_of(*case())
+    for figures in ("test", "validation"):
+        assert [row[figures]["rmse"][0] for row in rows] == pytest.approx([1.0, 2.0, 3.0])
+    assert [row["best_epoch"] for row in rows] == [5, 6, 7]
+    assert rows[1]["reason"] == MemberStatus.STOPPED_EARLY.sentence
+    assert set(rows[0]["by_n_init"]) == {"0", "5"}
+
+
+def test_a_failed_member_stays_in_the_table_and_out_of_the_means():
+    state, test, predictions = case(outcomes=(0, MemberStatus.LOSS_NOT_FINITE, 0))
+    rows = rows_of(state, test, predictions)
+    assert rows[1]["status"] == "failed"
+    assert rows[1]["test"] is None
+    mean, deviation = evaluate.ensemble(rows, test, predictions)
+    found = evaluate.summary(rows, test, mean, [0, 5])
+    assert (found["planned"], found["finished"], found["failed"]) == (3, 2, 1)
+    assert found["rmse_mean"] == pytest.approx(2.0)
+    assert found["rmse_std"] == pytest.approx(np.std([1, 3], ddof=1))
+    assert found["rmse_best"] == pytest.approx(1.0)
+    assert found["rmse_ensemble"] == pytest.approx(2.0)
+    np.testing.assert_allclose(deviation, 1.0)
+
+
+def test_a_member_that_diverges_on_the_test_record_has_failed():
+    rows = rows_of(*case(finite=(True, True, False)))
+    assert [row["status"] for row in rows] == ["ok", "ok", "failed"]
+    assert rows[2]["reason"] == MemberStatus.STATE_NOT_FINITE.sentence
+
+
+def test_no_member_left_gives_no_figures_and_no_error():
+    state, test, predictions = case(outcomes=(2, 2, 2))
+    rows = rows_of(state, test, predictions)
+    mean, _ = evaluate.ensemble(rows, test, predictions)
+    found = evaluate.summary(rows, test, mean, [0])
+    assert np.isnan(mean).all()
+    assert found["finished"] == 0
+    assert np.isnan(found["rmse_mean"])
+    assert np.isnan(found["rmse_ensemble"])
+
+
+def test_errors_that_cancel_make_the_ensemble_better_than_its_members():
+    state, test, predictions = case()
+    predictions = predictions._replace(test=test.y + np.array([-1.0, 0.5, 0.5])[:, None, None, None])
+    rows = rows_of(state, test, predictions)
+    mean, _ = evaluate.ensemble(rows, test, predictions)
+    found = evaluate.summary(rows, test, mean, [0])
+    assert found["rmse_ensemble"] == pytest.approx(0.0, abs=1e-12)
+    assert found["rmse_best"] == pytest.approx(0.5)
+
+
+def test_members_with_different_test_records_have_no_ensemble():
+    state, test, predictions = case()
+    test = stack([measured(seed=0), measured(seed=1), measured(seed=2)])
+    rows = rows_of(state, test, predictions)
+    mean, _ = evaluate.ensemble(rows, test, predictions)
+    assert np.isnan(mean).all()
+    assert np.isfinite(evaluate.summary(rows, test, mean, [0])["rmse_mean"])
+
+
+def test_one_member_has_no_spread():
+    state, test, predictions = case(outcomes=(0, 2, 2))
+    rows = rows_of(state, test, predictions)
+    assert evaluate.summary(rows, test, test.y[0], [0])["rmse_std"] == 0.0
+
+
+def test_standardised_predictions_return_to_measured_units():
+    _, _, predictions = case()
+    y = Affine(np.array([[1.0], [2.0], [3.0]]), np.array([[2.0], [2.0], [4.0]]))
+    found = evaluate.in_physical_units(predictions, Units(y, y))
+    np.testing.assert_allclose(found.test[2], 3.0 + 4.0 * predictions.test[2])
+    np.testing.assert_allclose(found.validation[0], 1.0 + 2.0 * predictions.validation[0])

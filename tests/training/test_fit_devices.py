@@ -1,0 +1,49 @@
+"""Members that are sharded over devices train to the numbers of one device."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small import small_fit
+from toys import quick_jit
+
+from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
+from pgrssnn_jax.training.optimise import FitSettings, MemberStatus
+
+FED_BACK = ModelSpec(recurrent=False, feedback=True, hidden=4)
+ALONE = ModelSpec(networks=False)
+
+
+@pytest.mark.parametrize(
+    ("spec", "how", "rtol"),
+    [
+        (ALONE, "loop", 1e-6),
+        # products of matrices: a program for two devices, or of another width, sums in another order
+        (FED_BACK, "vmap", 1e-4),
+    ],
+    ids=["physics-loop", "networks-vmap"],
+)
+def test_an_odd_number_of_members_with_a_failing_one_trains_alike_on_one_and_two_devices(spec, how, rtol):
+    """Five members on two devices: the last one, which fails, is also the one that pads."""
+    settings = FitSettings(
+        epochs=6, validate_every=3, chunk_epochs=6, guard="none", learning_rate=1e-2,
+        physics_parameters="fixed" if spec.networks else "trained",
+    )  # fmt: skip
+    fit, data = small_fit(spec=spec, settings=settings, members=5)
+    louder = np.linspace(0.8, 1.2, 5, dtype=np.float32)[:, None, None, None]
+    data = data._replace(train=data.train._replace(u=louder * data.train.u))
+    state = quick_jit(map_members(fit.begin, MemberMapping("loop")))(keys_of([Member(i, 0) for i in range(5)]), data)
+    state = state._replace(theta=jax.tree.map(lambda a: a.at[4].set(jnp.nan), state.theta))
+    (one, its), (two, others) = (
+        quick_jit(map_members(fit.advance, MemberMapping(how, None, devices)))(state, data) for devices in (1, 2)
+    )
+    assert len(two.best_loss.sharding.device_set) == 2
+    assert one.outcome.tolist() == two.outcome.tolist() == [0, 0, 0, 0, MemberStatus.STATE_NOT_FINITE]
+    assert one.epoch.tolist() == two.epoch.tolist() == [6, 6, 6, 6, 0]
+    assert one.best_epoch.tolist() == two.best_epoch.tolist()
+    for a, b in zip(jax.tree.leaves((its, one.best_loss)), jax.tree.leaves((others, two.best_loss)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=rtol)
+    # every member has trained, on data of its own
+    assert len(np.unique(one.best_loss)) == 5
+    assert (its.train[:4, -1, -1] < its.train[:4, 0, 0]).all()
