@@ -2,12 +2,14 @@
 
 from typing import Any
 
-from pgrssnn_jax.cli import entry
+from pgrssnn_jax.cli import packages
 
-entry.check_packages()
+packages.check_packages()
 
 import hydra  # noqa: E402
 from omegaconf import DictConfig  # noqa: E402
+
+from pgrssnn_jax.cli import entry  # noqa: E402
 
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="discover")

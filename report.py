@@ -2,17 +2,19 @@
 
 import sys
 
-from pgrssnn_jax.cli import entry
+from pgrssnn_jax.cli import packages
 
-entry.check_packages()
+packages.check_packages()
 
 import hydra  # noqa: E402
 from omegaconf import DictConfig  # noqa: E402
 
+from pgrssnn_jax.cli import entry  # noqa: E402
+
 
 @hydra.main(version_base="1.3", config_path="conf", config_name="report")
 def main(config: DictConfig) -> None:
-    from pgrssnn_jax.paper.command import prepare_report
+    from pgrssnn_jax.cli.report import prepare_report
 
     entry.run(prepare_report, config)
 

@@ -29,7 +29,7 @@ from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.training.settings import call_with
+from pgrssnn_jax.records.arguments import call_with
 
 _SETTINGS = {
     "replace": {}, "fixed": [], "tolerance": 0.5, "stretches": [], "starts": 4,

@@ -23,8 +23,8 @@ from timing import medians
 from pgrssnn_jax.cli.entry import set_up_jax
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model, model_scaling
-from pgrssnn_jax.models.networks import ModelSpec
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks

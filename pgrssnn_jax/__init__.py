@@ -1,14 +1,80 @@
-"""Physics-guided recurrent state-space neural networks, as pure functions in JAX."""
+"""Physics-guided recurrent state-space neural networks in JAX: `import pgrssnn_jax as pg`.
+
+The names of `api.py`, and the rooms `physics` and `effects`, are loaded when they are first used.
+"""
 
 import contextlib
 import os
-from importlib import metadata
+import sys
+import warnings
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pgrssnn_jax import effects, physics
+    from pgrssnn_jax.api import (
+        Discovered,
+        Effect,
+        Ensemble,
+        ModelSpec,
+        Parameter,
+        Physics,
+        Record,
+        Signal,
+        add,
+        continuous,
+        discover,
+        fit,
+        load,
+        load_benchmark,
+        read_csv,
+        record,
+        rollout,
+        simulate,
+    )  # fmt: skip
 
 __version__ = "0.1.0"
+__all__ = [
+    "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
+    "discover", "effects", "fit", "load", "load_benchmark", "physics", "read_csv", "record", "rollout", "simulate",
+]  # fmt: skip
 
 # jaxlib 0.10.2 computes products with a constant matrix of equal numbers wrongly on CPUs when it fuses them with what
 # stands before (jax issue 39103). Other versions may not know the flag, and XLA stops at flags that it does not know.
 _FUSION = "--xla_cpu_experimental_ynn_fusion_type"
-with contextlib.suppress(metadata.PackageNotFoundError):  # the entry scripts say what is missing
-    if metadata.version("jaxlib") == "0.10.2" and _FUSION not in os.environ.get("XLA_FLAGS", ""):
+_LIGHT = {
+    "Parameter": "physics.base",
+    "Physics": "physics.base",
+    "Signal": "physics.base",
+    "continuous": "physics.base",
+}
+
+
+def _avoid_wrong_products() -> None:
+    with contextlib.suppress(metadata.PackageNotFoundError):  # the entry scripts say what is missing
+        if metadata.version("jaxlib") != "0.10.2" or _FUSION in os.environ.get("XLA_FLAGS", ""):
+            return
+        if "jax" in sys.modules and import_module("jax._src.xla_bridge").backends_are_initialized():
+            warnings.warn(
+                "pgrssnn_jax: jaxlib 0.10.2 computes some products wrongly on CPUs, and JAX is already running without "
+                f"the flag that avoids it: import pgrssnn_jax first, or set XLA_FLAGS={_FUSION}",
+                stacklevel=3,
+            )
+            return
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_FUSION}=".strip()
+
+
+_avoid_wrong_products()
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import_module("pgrssnn_jax.acceleration.devices").use_all_cores()
+    if name in ("physics", "effects"):
+        return import_module(f"pgrssnn_jax.{name}")
+    return getattr(import_module(f"pgrssnn_jax.{_LIGHT.get(name, 'api')}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -10,8 +10,8 @@ import pytest
 from commands import ROOT, command, composed
 
 from pgrssnn_jax.data.csv_files import write_csv
+from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.records.record import Channel, RecordInfo, record
-from pgrssnn_jax.training.settings import call_with
 
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", README, flags=re.M | re.S)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgrssnn_jax.acceleration.compiler import optimised
 from pgrssnn_jax.models.model import Model, ModelParams, build_model
-from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics, Signal, discrete
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 from pgrssnn_jax.records.scaling import Affine, Scaling

@@ -5,12 +5,6 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 
-import jax
-
-from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
-from pgrssnn_jax.discovery.null import what_is_added
-from pgrssnn_jax.discovery.problem import Problem, Signals
-
 
 @contextmanager
 def ahead(tasks: Mapping[str, Callable[[], None]]) -> Iterator[Callable[[str], None]]:
@@ -22,11 +16,3 @@ def ahead(tasks: Mapping[str, Callable[[], None]]) -> Iterator[Callable[[str], N
         yield lambda name: begun[name].result() if name in begun else None
     finally:
         thread.shutdown(cancel_futures=True)
-
-
-def compile_look(problem: Problem, signals: Signals, settings: Settings) -> None:
-    """The programs of one look at a catalogue (`look.look_at`), by fits that take no step."""
-    with jax.enable_x64(True):  # holds for one thread
-        guess = Guess((), problem.theta, signals.start)
-        fit_all(problem, signals, [guess] * settings.lanes, settings, steps=0)
-        what_is_added(problem, signals, evaluate(problem, signals, guess), [guess], settings)

@@ -1,88 +1,84 @@
-"""What `discover.py` does: configuration -> discovery -> run folder -> page."""
+"""What `discover.py` does around `pg.discover`: configuration -> discovery -> run folder -> page."""
 
-import json
 import shlex
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 
-from pgrssnn_jax.cli.entry import Interrupted
-from pgrssnn_jax.cli.plan import plain
-from pgrssnn_jax.discovery.card import discovery_arrays, discovery_json
-from pgrssnn_jax.discovery.network import network_shares, plan_network
+from pgrssnn_jax.api import check_setup, discovered
+from pgrssnn_jax.cli.entry import Work
+from pgrssnn_jax.cli.plan import load_experiment, own_effects, plain_config
+from pgrssnn_jax.cli.process import Interrupted
+from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
-from pgrssnn_jax.discovery.workflow import check_free_run, discover
+from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.reports.discovery_summary import discovery_summary
-from pgrssnn_jax.reports.discovery_write import write_discovery_report
+from pgrssnn_jax.reports.run_files import yaml_text
 from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, short_path
+from pgrssnn_jax.training.settings import settings_from_config
 
 
-def prepare_discovery(config: DictConfig) -> Callable[[threading.Event], None]:
+def prepare_discovery(config: DictConfig) -> Work:
     """Reads and checks everything; what it returns discovers. Raises `ValueError` for bad input, and leaves nothing."""
     console = Console(highlight=False)
     hydra = HydraConfig.get()
     folder = Path(hydra.runtime.output_dir)
     started = time.perf_counter()
     try:
-        setup = checked(plain(config), console.print)
+        settings = plain_config(config)
+        setup = checked(settings, console.print)
     finally:
         discard_if_empty(folder)
     command = shlex.join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
-    loading = time.perf_counter() - started
-    return partial(discovery_run, setup, RunFolder(folder), console, command=command, seconds={"load": loading})
+    seconds = time.perf_counter() - started
+    return Work(folder, partial(discovery_run, settings, setup, RunFolder(folder), console, command, seconds))
 
 
 def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     """Everything that could turn out to be bad input later is tried. Raises `ValueError`."""
-    setup = set_up(config, notify)
-    check_free_run(setup)
-    if setup.settings.network_epochs:
-        plan_network(setup, None)
+    settings = call_with(DiscoverySettings, config["discovery"], "discovery")
+    settings = replace(settings, accelerate=settings.accelerate and config["accelerate"])
+    if config["resume"] is not None:
+        raise ValueError(f"resume: expected null, a discovery is started again, found {config['resume']!r}")
+    found = config["physics"].get("effects")
+    if found is not None:
+        raise ValueError(f"physics.effects: expected null, what is missing is to be found, found {found!r}")
+    physics, train, test = load_experiment(config, lambda line: None)
+    setup = set_up(
+        physics, train, test, settings, settings_from_config(config),
+        effects=own_effects(settings.effects, physics), notify=notify,
+    )  # fmt: skip
+    check_setup(setup)
     return setup
 
 
 def discovery_run(
+    config: Mapping[str, Any],
     setup: Setup,
     run: RunFolder,
     console: Console,
-    stop: threading.Event,
-    *,
     command: str,
-    seconds: dict[str, float],
+    seconds: float,
+    stop: threading.Event,
 ) -> None:
     """Discovers, writes the folder, shows the summary. Raises `Interrupted` between the steps when asked to stop."""
     info = setup.estimation.info
     console.print(
-        f"discovery on {setup.config['data']['name']} ({info.source}: {info.origin}); "
+        f"discovery on {config['data']['name']} ({info.source}: {info.origin}); "
         f"{setup.estimation.u.shape[0]} sequence(s) of {setup.estimation.u.shape[1]} samples to learn from",
         soft_wrap=True,
     )
-    found = discover(setup, partial(_progress, console, stop))
-    said = discovery_json(found, setup, command=command)
-    origins = {
-        name: f"{r.info.source}: {r.info.origin}" for name, r in (("train", setup.estimation), ("test", setup.test))
-    }
-    run.begin(OmegaConf.to_yaml(OmegaConf.create(setup.config)), command=command, data=origins)
-    run.write_arrays("discovery.npz", discovery_arrays(found, setup))
-    run.write_json("discovery.json", said)
-    started = time.perf_counter()
-    if setup.settings.network_epochs and found.found.final.estimate.active:
-        effects = str(run.path / "discovery.json")
-        said["network"] = network_shares(setup, effects, partial(_progress, console, stop), stop)
-        said["seconds"]["network"] = time.perf_counter() - started
-    said["seconds"] = {**seconds, **said["seconds"]}
-    said["seconds"]["total"] = sum(said["seconds"].values())
-    run.write_json("discovery.json", said)
-    write_discovery_report(run)
-    run.finish()
-    console.print(discovery_summary(json.loads((run.path / "discovery.json").read_text(encoding="utf-8"))))
+    found = discovered(setup, partial(_progress, console, stop), stop, command=command, seconds=seconds)
+    found.write(run, yaml_text(config), command)
+    console.print(discovery_summary(found.details))
     console.print(f"run folder: {short_path(run.path)}   page: {short_path(run.path / 'report.html')}", soft_wrap=True)
 
 

@@ -1,9 +1,12 @@
 """Going on with an interrupted run: its saved configuration rules, and the command line may only agree or prolong."""
 
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+from pgrssnn_jax.physics.library import library_builder
 
 # how long to train and how members are mapped; everything else makes another run
 FLEXIBLE = (
@@ -39,6 +42,27 @@ def resume_config(
             )
         before[key] = now[key]
     return {**_nested(before), "resume": str(folder)}
+
+
+def resumed_physics(config: Mapping[str, Any], asked: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """The configuration of a run whose physics may be built. A folder of others must not say what is executed: an own
+    physics is the one that the command line names, and the effects of the run are those of its own `physics.json`.
+
+    Raises `ValueError` for an own physics that the command line does not name.
+    """
+    target = str(config["physics"]["_target_"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        known = library_builder(target) is not None
+    if not known and asked["physics"].get("_target_") != target:
+        raise ValueError(
+            f"resume: physics._target_: expected the run's own physics on the command line, "
+            f"{override('physics._target_', target)}, found {asked['physics'].get('_target_')!r}"
+        )
+    kept = folder / "physics.json"
+    if config["physics"].get("effects") is None or not kept.is_file():
+        return dict(config)
+    return {**config, "physics": {**config["physics"], "effects": str(kept)}}
 
 
 def override(key: str, text: str) -> str:

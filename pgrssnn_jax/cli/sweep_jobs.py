@@ -25,8 +25,9 @@ from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 
-from pgrssnn_jax.cli.entry import BAD_INPUT, Interrupted, say, usable_cores
-from pgrssnn_jax.cli.plan import plain
+from pgrssnn_jax.acceleration.devices import usable_cores
+from pgrssnn_jax.cli.plan import plain_config
+from pgrssnn_jax.cli.process import BAD_INPUT, Interrupted, say
 from pgrssnn_jax.cli.resume import override
 from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
@@ -124,7 +125,7 @@ def _beforehand(job: Job, sweep: Sweep) -> JobResult | None:
             )
         with open_dict(config):
             del config["hydra"]
-        finished = job_status(run, plain(config)) is JobProgress.FINISHED
+        finished = job_status(run, plain_config(config)) is JobProgress.FINISHED
     except (ValueError, HydraException, OmegaConfBaseException) as problem:
         return _failed(run, _sentence(problem))
     return JobResult(run.path, "skipped") if finished else None
@@ -148,9 +149,7 @@ def _outcome(job: Job, back: JobReturn | None, problem: str) -> JobResult:
     return JobResult(run.path, "failed", reason)
 
 
-def run_job(
-    prepare: Callable[[Any], Callable[[threading.Event], None]], config: Any, stop: threading.Event
-) -> JobResult:
+def run_job(prepare: Callable[[Any], Any], config: Any, stop: threading.Event) -> JobResult:
     """One job of a sweep, in the folder that Hydra names: skipped, gone on with, or begun.
 
     Raises `Interrupted` when stopped, and nothing else.
@@ -164,7 +163,7 @@ def run_job(
     with held(run.path, stop, show):
         _unless(stop)
         try:
-            there = job_status(run, plain(config))
+            there = job_status(run, plain_config(config))
         except ValueError as problem:
             return _failed(run, str(problem))
         if there is JobProgress.FINISHED:
@@ -177,7 +176,7 @@ def run_job(
         try:
             work = prepare(config)
             _unless(stop)
-            work(stop)
+            work.do(stop)
         except Interrupted:
             raise
         except (Exception, SystemExit) as problem:  # a user's physics may do anything

@@ -16,9 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.data.sources import check_count, fingerprint, published_folder, say_nothing
+from pgrssnn_jax.data.sources import published_folder, say_nothing
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Splits, record, stack, windows
+from pgrssnn_jax.records.arguments import check_count
+from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Splits, record, stack
+from pgrssnn_jax.records.table import fingerprint
 
 A = np.array([[0.7, 0.8], [0.0, 0.1]])
 B = np.array([-1.0, 0.1])
@@ -60,16 +62,15 @@ def load_lgssm(
     n_train: int = 2000,
     n_validation: int = 2000,
     n_test: int = 5000,
-    window: int | None = 64,
     seed: int = 0,
     physics: Physics | None = None,
     notify: Callable[[str], None] = say_nothing,
 ) -> Splits:
-    """train `[realisation, n_train // window, window, 1]`, validation `[realisation, 1, n_validation, 1]` and test
+    """train `[realisation, 1, n_train, 1]`, validation `[realisation, 1, n_validation, 1]` and test
     `[realisation, 1, n_test, 1]`, the same record for each.
 
     path: folder of the published files; None: `lgssm` under PGRSSNN_DATA, or, without that, generated data. generated:
-    generate in any case. window: samples per training sequence, None: one sequence. seed: of generated data. physics:
+    generate in any case. seed: of generated data. physics:
     its dt is the sample time (1 without). notify: takes a line when data are generated though nobody asked.
     Raises `ValueError` for bad files and for counts that the files cannot serve.
     """
@@ -80,8 +81,6 @@ def load_lgssm(
     wanted = _Wanted(n_train, n_validation, n_test)
     for name, count in zip(("n_train", "n_validation", "n_test"), wanted, strict=True):
         check_count(f"data.{name}", count, 1, 10**9, "samples")
-    if window is not None:
-        check_count("data.window", window, 1, n_train, "training samples")
     folder = None if generated else published_folder(_FOLDER, path, seed, notify)
     if folder is None:
         raw, source, origin = _generate(realisations, wanted, seed), "simulated", f"generated, seed {seed}"
@@ -89,10 +88,11 @@ def load_lgssm(
         raw, source = _read(folder, realisations, wanted), "file"
         digest = fingerprint((folder / _TEST_FILE).read_bytes())
         origin = f"{_TRAIN_FILE.format(f'0..{realisations - 1}')}, test record sha256 {digest}…"
-    info = RecordInfo((Channel("u"),), (Channel("y"),), 1.0 if physics is None else physics.dt, source, origin)
+    dt = 1.0 if physics is None else physics.dt
+    info = RecordInfo((Channel("u"),), (Channel("y"),), dt, source, origin, start="rest", benchmark="lgssm")
     train, validation = (stack([record(*s, info) for s in part]) for part in (raw.train, raw.validation))
     test = record(*raw.test, info)
-    return Splits(train if window is None else windows(train, window), validation, _repeat(test, realisations))
+    return Splits(train, validation, _repeat(test, realisations))
 
 
 def _repeat(whole: Record, times: int) -> Record:

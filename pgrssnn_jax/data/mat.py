@@ -15,7 +15,7 @@ import numpy as np
 import scipy.io
 from jaxtyping import Float
 
-from pgrssnn_jax.data.sources import fingerprint
+from pgrssnn_jax.records.table import fingerprint
 
 _LONGEST = 100  # characters of somebody else's message
 

@@ -24,14 +24,14 @@ from pgrssnn_jax.data.mat import Sequences, read_mat
 from pgrssnn_jax.data.sources import (
     VARIABLE,
     channels,
-    check_count,
     data_folder,
-    fingerprint,
     published_folder,
     say_nothing,
 )
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records.record import Record, RecordInfo, Splits, record, stack
+from pgrssnn_jax.records.arguments import check_count
+from pgrssnn_jax.records.record import Channel, Record, RecordInfo, Splits, record, stack
+from pgrssnn_jax.records.table import fingerprint
 
 REAL_SAMPLES, SIMULATED_SAMPLES = 605, 606
 _REAL_FILE = "robot_real/forward_identification_without_raw_data_shifted.mat"
@@ -69,7 +69,7 @@ def load_robot_real(
     n_test: int | None = None,
     n_samples: int | None = None,
     seed: int = 0,
-    physics: Physics,
+    physics: Physics | None = None,
     notify: Callable[[str], None] = say_nothing,
     timeout: float = 60.0,
 ) -> Splits:
@@ -83,7 +83,7 @@ def load_robot_real(
     """
     _check(physics, seed, generated and path is not None, "a file")
     found = _simulated_real(seed) if generated else _find_real(path, seed, notify, timeout)
-    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics)
+    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics, "robot_real")
 
 
 def load_robot_simulated(
@@ -96,7 +96,7 @@ def load_robot_simulated(
     n_test: int | None = None,
     n_samples: int | None = None,
     seed: int = 0,
-    physics: Physics,
+    physics: Physics | None = None,
     notify: Callable[[str], None] = say_nothing,
 ) -> Splits:
     """The three records, each `[realisation, seq, time, 6]`.
@@ -111,13 +111,15 @@ def load_robot_simulated(
         found = _simulated(seed, SIMULATED_SAMPLES, realisations, ArmSimulator(), f"generated, seed {seed}")
     else:
         found = _read(folder, realisations)
-    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics)
+    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics, "robot_simulated")
 
 
-def _check(physics: Physics, seed: int, contradiction: bool, what: str) -> None:
+def _check(physics: Physics | None, seed: int, contradiction: bool, what: str) -> None:
     if contradiction:
         raise ValueError(f"data.generated: expected false where data.path names {what}, found true")
     check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
+    if physics is None:
+        return
     sizes = len(physics.inputs), len(physics.outputs)
     if sizes != (JOINTS, JOINTS):
         raise ValueError(
@@ -190,9 +192,14 @@ def _simulated(seed: int, samples: int, realisations: int, simulator: ArmSimulat
     return _Found(train, validation, test, "simulated", origin)
 
 
-def _splits(found: _Found, less: _Less, physics: Physics) -> Splits:
-    inputs, outputs = channels(physics.inputs), channels(physics.outputs)
-    info = RecordInfo(inputs, outputs, physics.dt, found.source, found.origin)
+def _splits(found: _Found, less: _Less, physics: Physics | None, benchmark: str) -> Splits:
+    if physics is None:
+        inputs = tuple(Channel(f"torque_{i + 1}", "Nm") for i in range(JOINTS))
+        outputs = tuple(Channel(f"position_{i + 1}", "rad") for i in range(JOINTS))
+    else:
+        inputs, outputs = channels(physics.inputs), channels(physics.outputs)
+    dt = SAMPLE_TIME if physics is None else physics.dt
+    info = RecordInfo(inputs, outputs, dt, found.source, found.origin, start="rest", benchmark=benchmark)
     longest = found.train[0].u.shape[1]
     samples = _count("data.n_samples", less.samples, longest, f"samples per sequence in {found.origin}")
 

@@ -1,6 +1,5 @@
 """Where data comes from: the folder named by the environment variable PGRSSNN_DATA, and what a loader says of it."""
 
-import hashlib
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -49,15 +48,3 @@ def published_folder(name: str, path: str | Path | None, seed: int, notify: Call
 def channels(signals: Iterable[Signal]) -> tuple[Channel, ...]:
     """The columns of a record that belong to these inputs or outputs of a physics."""
     return tuple(Channel(signal.name, signal.unit) for signal in signals)
-
-
-def fingerprint(content: bytes) -> str:
-    """The first 12 hexadecimal digits of the SHA-256 of a file's bytes."""
-    return hashlib.sha256(content).hexdigest()[:12]
-
-
-def check_count(name: str, value: int, least: int, most: int, what: str) -> None:
-    """Raises `ValueError` unless least ≤ value ≤ most. name: the key in the configuration; what: what is counted."""
-    if not least <= value <= most:
-        expected = f"between {least} and {most} {what}" if most >= least else f"at least {least} {what} to choose from"
-        raise ValueError(f"{name}: expected {expected}, found {value}")

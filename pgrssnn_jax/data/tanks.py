@@ -19,9 +19,10 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.data.download import download_tanks
-from pgrssnn_jax.data.sources import VARIABLE, check_count, data_folder, say_nothing
+from pgrssnn_jax.data.sources import VARIABLE, data_folder, say_nothing
 from pgrssnn_jax.data.tank_simulator import SAMPLE_TIME, estimation_and_test
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.arguments import check_count
 from pgrssnn_jax.records.record import Channel, RecordInfo, Splits, crop, record, stack
 from pgrssnn_jax.records.table import column, numbers, problem, read_table
 
@@ -45,7 +46,7 @@ def load_cascaded_tank(
     n_validation: int = 256,
     generated: bool = False,
     seed: int = 0,
-    physics: Physics,
+    physics: Physics | None = None,
     notify: Callable[[str], None] = say_nothing,
     timeout: float = 30.0,
 ) -> Splits:
@@ -59,22 +60,20 @@ def load_cascaded_tank(
     if generated and path is not None:
         raise ValueError("data.generated: expected false where data.path names a file, found true")
     check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
-    found = _simulated(physics, seed) if generated else _find(path, physics, seed, notify, timeout)
+    dt = SAMPLE_TIME if physics is None else physics.dt
+    found = _simulated(dt, seed) if generated else _find(path, dt, seed, notify, timeout)
     check_count("data.n_validation", n_validation, 1, len(found.columns) - 1, f"samples in {found.origin}")
     rest = len(found.columns) - n_validation
     n_train = rest if n_train is None else n_train
     check_count("data.n_train", n_train, 1, rest, f"samples before the {n_validation} for validation")
-    info = RecordInfo(
-        (Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), physics.dt, found.source, found.origin
-    )
+    u, y = (Channel(name, "V") for name in ("pump_voltage", "level_voltage"))
+    info = RecordInfo((u,), (y,), dt, found.source, found.origin, start="shared", benchmark="cascaded_tank")
     estimation, test = (record(found.columns[:, [i]], found.columns[:, [i + 2]], info) for i in range(2))
     parts = (crop(estimation, 0, n_train), crop(estimation, rest, rest + n_validation), test)
     return Splits(*(stack([part]) for part in parts))
 
 
-def _find(
-    path: str | Path | None, physics: Physics, seed: int, notify: Callable[[str], None], timeout: float
-) -> _Found:
+def _find(path: str | Path | None, dt: float, seed: int, notify: Callable[[str], None], timeout: float) -> _Found:
     folder = data_folder() if path is None else None
     if path is None and folder is not None:
         if (folder / _FILE).exists():
@@ -82,17 +81,17 @@ def _find(
         else:
             notify(f"data: {VARIABLE}: no {_FILE} in that folder, trying a download instead")
     if path is not None:
-        return _read(path, physics.dt)
+        return _read(path, dt)
     try:
-        columns, dt = download_tanks(timeout)
+        columns, sample_time = download_tanks(timeout)
     except ConnectionError as reason:
-        found = _simulated(physics, seed)
+        found = _simulated(dt, seed)
         notify(
             f"data: NO MEASURED DATA, USING A SIMULATED TWO-TANK PLANT (seed {seed}): the download failed ({reason}); "
             f"for measured data set data.path=FILE.csv or {VARIABLE}"
         )
         return found
-    _check_sample_time(physics, dt, "the downloaded data")
+    _check_sample_time(dt, sample_time, "the downloaded data")
     return _Found(columns, "download", f"package nonlinear_benchmarks, {_verdict(columns)}")
 
 
@@ -112,14 +111,14 @@ def _read(path: str | Path, dt: float) -> _Found:
     return _Found(columns, "file", origin)
 
 
-def _simulated(physics: Physics, seed: int) -> _Found:
-    _check_sample_time(physics, SAMPLE_TIME, "the simulated plant")
+def _simulated(dt: float, seed: int) -> _Found:
+    _check_sample_time(dt, SAMPLE_TIME, "the simulated plant")
     return _Found(estimation_and_test(seed), "simulated", f"built-in two-tank simulator, seed {seed}")
 
 
-def _check_sample_time(physics: Physics, found: float, whose: str) -> None:
-    if not _agrees(found, physics.dt):
-        raise ValueError(f"physics.dt: expected {found:g} s, the sample time of {whose}, found {physics.dt:g} s")
+def _check_sample_time(dt: float, found: float, whose: str) -> None:
+    if not _agrees(found, dt):
+        raise ValueError(f"physics.dt: expected {found:g} s, the sample time of {whose}, found {dt:g} s")
 
 
 def _agrees(sample_time: float, dt: float) -> bool:

@@ -19,7 +19,8 @@ from pgrssnn_jax.discovery.look import Rules, Stage, look_at
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.search import Found
-from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.unknown import Line, in_flexible, spectral_line
 from pgrssnn_jax.records.record import Record
 

@@ -1,7 +1,6 @@
 """What discovery says: `discovery.json` and the arrays of its pictures, from what was found out."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
 from pgrssnn_jax.effects.base import add
+from pgrssnn_jax.effects.stored import physics_to_json, plain
 
 
 def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
         "inputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.inputs],
         "outputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.outputs],
         "states": [{"name": s.name, "unit": s.unit} for s in problem.physics.states],
-        "physics": setup.group,
+        "physics": physics_to_json(setup.physics)["physics"],
         "numbers": _numbers(found),
         "initial_state": _initial_state(found) if setup.start is Start.SHARED else None,
     }
@@ -219,13 +219,7 @@ def _numbers(found: Discovery) -> dict[str, Any]:
     params = found.problem.params(found.found.final.estimate.theta)
     effects = {name: params[name] for name in found.found.final.estimate.active}
     own = {name: params[name] for name in found.problem.physics.params}
-    return {"parameters": _plain(own), "effects": _plain(effects)}
-
-
-def _plain(tree: Any) -> Any:
-    if isinstance(tree, Mapping):
-        return {key: _plain(value) for key, value in tree.items()}
-    return np.asarray(tree).tolist()
+    return {"parameters": plain(own), "effects": plain(effects)}
 
 
 def _initial_state(found: Discovery) -> dict[str, float]:

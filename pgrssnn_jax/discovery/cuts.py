@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from pgrssnn_jax.discovery.problem import Problem, Signals, weighted_signals
-from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.stretches import stretches
 from pgrssnn_jax.records.record import Record, take
 

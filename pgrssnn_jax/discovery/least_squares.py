@@ -125,6 +125,8 @@ def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
 
 def _worth_it(code: Code, devices: int, limits: Limits, stop_rule: StopRule, lanes: Lanes, *_: object) -> bool:
     """Will a program of so many lanes, written out in numbers, make up for the time that it takes to compile well?"""
+    if not code.accelerate:
+        return True
     return code.written_out is not None and len(lanes.theta) > _FEW * devices
 
 
@@ -134,7 +136,7 @@ def _simulate(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tupl
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(x, (3, 2, 0, 1))
 
 
-@quick_jit(static_argnums=0)
+@quick_jit(lambda code, *_: not code.accelerate, static_argnums=0)
 def _sensitivity(code: Code, lanes: Lanes, signals: Signals) -> tuple[jax.Array, jax.Array]:
     y, dy = with_derivatives(code, time_first(signals.u), *_lanes_last(lanes))
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(dy, (4, 3, 0, 1, 2))

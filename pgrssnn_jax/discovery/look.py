@@ -11,33 +11,10 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, cross_val
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import null_law, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.settings import Rules
 
 _ASTRAY = 0.05  # part of its error energy by which a fit from elsewhere beats one that has gone astray
 _ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
-
-
-class Rules(NamedTuple):
-    """When an effect counts.
-
-    p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
-    that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
-    found; draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
-    `above` times the energy of the noise is left; far: times that energy where errors are surely no noise.
-    """
-
-    p_value: float = 0.01
-    share: float = 0.02
-    least: float = 0.02
-    rest: float = 0.5
-    visible: float = 0.1
-    finalists: int = 6
-    most: int = 4
-    draws: int = 2000
-    open: float = 0.05
-    above: float = 1.25
-    beam: int = 3
-    far: float = 2.0
 
 
 class Candidate(NamedTuple):

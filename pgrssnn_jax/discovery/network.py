@@ -6,42 +6,48 @@ Training begins at the physics (output heads at zero), so the physics alone is t
 """
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.cli.plan import Plan, plan_training
 from pgrssnn_jax.discovery.setup import Setup
-from pgrssnn_jax.effects.discovered import OF_TRAINING
-from pgrssnn_jax.training import evaluation as evaluate
-from pgrssnn_jax.training.loop import no_losses, train
-from pgrssnn_jax.training.members import jit_members, keys_of
+from pgrssnn_jax.effects.stored import OF_TRAINING, stored_physics
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.training.evaluation import predict, trained_members
+from pgrssnn_jax.training.loop import train
 from pgrssnn_jax.training.metrics import nrmse, rmse
+from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests, plan_training
+from pgrssnn_jax.training.train import first_checkpoint
 
 
-def plan_network(setup: Setup, effects: str | None) -> Plan:
-    """Training on the record that was examined; effects: the file of what was found, None for the nominal physics.
-    Raises `ValueError` for settings of the training that are none."""
-    config, given = setup.config, setup.config["physics"]
+def plan_network(setup: Setup, found: Mapping[str, Any] | None) -> tuple[Plan, MemberTests]:
+    """Training on the record that was examined; found: `discovery.json`, None for the nominal physics. Raises
+    `ValueError` for settings of the training that are none."""
+    given, chosen = setup.nominal.settings, setup.training
     # gradients as in training; the backend as in the discovery, because another may not know the effects
     kept = {name: given[name] for name in OF_TRAINING if name in given and name != "backend"}
-    settings = {
-        **{key: value for key, value in config.items() if key != "discovery"},
-        "physics": {**setup.group, **kept, "effects": effects},
-        "data": {name: 1 if name == "realisations" else value for name, value in config["data"].items()},
-        "model": {**config["model"], "start_from_physics": True},
-        "fit": {**config["fit"], "epochs": setup.settings.network_epochs},
-    }
-    return plan_training(settings, lambda line: None)
+    physics: Physics = setup.physics.variant(**kept)
+    if found is not None:
+        physics = stored_physics(physics, found, where="discovery", extra=setup.effects)
+    settings = chosen._replace(
+        model=replace(chosen.model, start_from_physics=True),
+        fit=replace(chosen.fit, epochs=setup.settings.network_epochs),
+    )
+    plan = plan_training(physics, setup.train, settings, validation=setup.validation)
+    wanted = settings.run.report_n_init
+    return plan, member_tests(plan.fit.objective, plan.members, plan.units, wanted, setup.test)
 
 
-def network_shares(setup: Setup, effects: str, notify: Callable[[str], None], stop: threading.Event) -> dict[str, Any]:
-    """effects: the file of what was found."""
+def network_shares(
+    setup: Setup, found: Mapping[str, Any], notify: Callable[[str], None], stop: threading.Event
+) -> dict[str, Any]:
+    """found: `discovery.json`."""
     shares: dict[str, Any] = {}
-    for when, added in (("before", None), ("after", effects)):
-        plan = plan_network(setup, added)
-        share, error, metric, unit = _one(plan, stop)
+    for when, added in (("before", None), ("after", found)):
+        plan, tests = plan_network(setup, added)
+        share, error, metric, unit = _one(plan, tests, stop)
         shares |= {f"share_{when}": share, f"{metric.lower()}_{when}": error, "metric": metric, "unit": unit}
         said = f"{metric} {error:.3g} {unit}".rstrip()
         notify(f"PG-RSSNN {when}: the network supplies {100 * share:.1f} % of the prediction, {said}")
@@ -49,15 +55,15 @@ def network_shares(setup: Setup, effects: str, notify: Callable[[str], None], st
     return {**shares, "epochs": setup.settings.network_epochs}
 
 
-def _one(plan: Plan, stop: threading.Event) -> tuple[float, float, str, str]:
-    begun = jit_members(plan.fit.begin, plan.mapping)(keys_of(plan.members), plan.data)
-    alone = evaluate.predict(plan.fit.objective, begun, plan.data, plan.test, plan.mapping).test
+def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, float, str, str]:
+    first = first_checkpoint(plan)
+    alone = predict(trained_members(plan, first.state), tests.record).y
     done = train(
-        plan.fit, plan.mapping, begun, plan.data, no_losses(len(plan.members)),
+        plan.fit, plan.mapping, first.state, plan.data, first.losses,
         on_chunk=lambda state, losses, now: None, stop=stop,
     )  # fmt: skip
-    together = evaluate.predict(plan.fit.objective, done.state, plan.data, plan.test, plan.mapping).test
-    measured = plan.measured.test
+    together = predict(trained_members(plan, done.state), tests.record).y
+    measured = tests.measured
     several = measured.y.shape[-1] > 1
     shares, errors = [], []
     for i in range(len(together)):
@@ -65,7 +71,7 @@ def _one(plan: Plan, stop: threading.Event) -> tuple[float, float, str, str]:
         spread = np.nanstd(np.where(mask, y, np.nan), axis=(0, 1))
         added = np.sqrt(np.mean((together[i] - alone[i]).astype(np.float64) ** 2, axis=(0, 1)))
         shares.append(float(np.mean(added / spread)))
-        error = (nrmse if several else rmse)(measured=y, predicted=together[i], mask=mask, n_init=plan.report_n_init[0])
+        error = (nrmse if several else rmse)(measured=y, predicted=together[i], mask=mask, n_init=tests.n_inits[0])
         errors.append(float(np.mean(error)))
     metric, unit = ("NRMSE", "") if several else ("RMSE", measured.info.outputs[0].unit)
     return float(np.mean(shares)), float(np.mean(errors)), metric, unit

@@ -38,12 +38,13 @@ class Slot(NamedTuple):
 class Code:
     """What a compiled program depends on beside its arrays: the physics with every effect of the catalogue, θ as the
     tree of its params, which states' initial values are unknown, and step and measurement written out in numbers, where
-    they can be."""
+    they can be. accelerate: compiled the quick way."""
 
     full: Physics
     unravel: Callable[[jax.Array], Any]
     free_start: Bool[np.ndarray, " x"]
     written_out: tuple[Program, Program] | None
+    accelerate: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +126,11 @@ class Signals(NamedTuple):
     precision: Float[np.ndarray, "seq x"]
 
 
-def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequence[str] = ()) -> Problem:
-    """fixed: names of parameters of the physics that are taken as given."""
+def build_problem(
+    physics: Physics, effects: Sequence[Effect], *, fixed: Sequence[str] = (), accelerate: bool = True
+) -> Problem:
+    """fixed: names of parameters of the physics that are taken as given; accelerate: False without the tricks of
+    `pgrssnn_jax.acceleration`."""
     full = add(physics, *effects)
     names = {effect.name for effect in effects}
     params = _double(full.params)
@@ -146,7 +150,7 @@ def build_problem(physics: Physics, effects: Sequence[Effect], *, fixed: Sequenc
     theta = np.asarray(theta, np.float64)
     return Problem(
         physics,
-        Code(full, unravel, free, _written_out(full, unravel, len(theta))),
+        Code(full, unravel, free, _written_out(full, unravel, len(theta)) if accelerate else None, accelerate),
         tuple(effects),
         tuple(slots),
         theta,

@@ -1,70 +1,27 @@
-"""From the composed configuration to a discovery: all bad input is found here, before a byte is written."""
+"""From a physics, its records and the settings to a discovery: all bad input is found here, before any work."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgrssnn_jax.cli.plan import check_range, conventions, load_physics, load_splits
 from pgrssnn_jax.discovery.linear import DRAWS
-from pgrssnn_jax.discovery.look import Rules
+from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.stretches import check_stretches
+from pgrssnn_jax.effects.base import Effect, effects_of
 from pgrssnn_jax.effects.systems import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records.record import Record, Splits, join, take
-from pgrssnn_jax.training.settings import call_with
+from pgrssnn_jax.records.matching import matched
+from pgrssnn_jax.records.record import Record, join, take
+from pgrssnn_jax.records.splits import by_dataset, estimation_parts
+from pgrssnn_jax.training.plan import check_range
+from pgrssnn_jax.training.settings import TrainingSettings
 
 _ARM_STRETCHES = (60, 300)  # samples: while nothing is known, and beside the first effect
 _LEAST_BLOCKS = 4  # per fold
 _SHORTEST_BLOCK = 8  # samples: of shorter ones the neighbours say what is in them
-
-
-@dataclass(frozen=True)
-class DiscoverySettings:
-    """What `conf/discovery/standard.yaml` says, checked.
-
-    replace: settings of the physics that discovery chooses itself, where the physics has them (a mapping replaces the
-    values that it names); fixed: parameters that are taken as given, NAME or PHYSICS.NAME; tolerance: relative standard
-    deviation of the others, null: nothing is known of them (as it is where stretches are fitted); stretches: lengths in
-    samples, while nothing is known, beside one effect and so on, empty: whole records; without: effects that the
-    catalogue is to do without; starts: of the recalibration; folds, block: of the cross-validation; n_init: first
-    samples of the test record from which its start is fitted where it is not known; network_epochs: of the PG-RSSNN
-    that is trained on the old and the new physics, 0 for none.
-    """
-
-    replace: Mapping[str, Any]
-    fixed: list
-    tolerance: float | None
-    stretches: Any
-    without: list
-    starts: int
-    folds: int
-    block: int
-    n_init: int
-    steps: int
-    p_value: float
-    share: float
-    most: int
-    draws: int
-    seed: int
-    network_epochs: int
-
-    def __post_init__(self) -> None:
-        checks = {"starts": 1, "folds": 2, "block": 2, "n_init": 1, "steps": 1, "most": 1, "draws": 99, "seed": 0}
-        for name, least in {**checks, "network_epochs": 0}.items():
-            if (value := getattr(self, name)) < least:
-                raise ValueError(f"discovery.{name}: expected at least {least}, found {value}")
-        for name, value in (("p_value", self.p_value), ("share", self.share)):
-            if not 0.0 < value < 1.0:
-                raise ValueError(f"discovery.{name}: expected a number between 0 and 1, found {value:g}")
-        if self.tolerance is not None and not self.tolerance > 0.0:
-            raise ValueError(f"discovery.tolerance: expected null or a number above 0, found {self.tolerance:g}")
-
-    @property
-    def rules(self) -> Rules:
-        return Rules(p_value=self.p_value, share=self.share, most=self.most, draws=self.draws)
 
 
 class Start(Enum):
@@ -75,47 +32,71 @@ class Start(Enum):
     AT_REST = "zero"
 
 
-class Setup(NamedTuple):
-    """group: the settings of the physics that was used; estimation: everything that is not test; start: of
-    the test record."""
+STARTS = {"unknown": Start.UNKNOWN, "shared": Start.SHARED, "rest": Start.AT_REST}
 
-    config: dict[str, Any]
-    group: dict[str, Any]
+
+class Setup(NamedTuple):
+    """nominal: the physics as it was given; physics: with the settings that discovery chooses; effects: the catalogue;
+    train and validation: the estimation record's parts, one realisation; estimation: both together; start: of the test
+    record; training: settings of the networks that the proof trains."""
+
+    nominal: Physics
     physics: Physics
+    effects: tuple[Effect, ...]
+    train: Record
+    validation: Record
     estimation: Record
     test: Record
     start: Start
     settings: DiscoverySettings
+    training: TrainingSettings
 
 
-def set_up(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
-    """config: the resolved configuration as plain data. Raises `ValueError` with one sentence."""
-    settings = call_with(DiscoverySettings, config["discovery"], "discovery")
-    group = {name: _replaced(settings.replace.get(name, value), value) for name, value in config["physics"].items()}
-    if config["resume"] is not None:
-        raise ValueError(f"resume: expected null, a discovery is started again, found {config['resume']!r}")
-    if group.get("effects") is not None:
-        raise ValueError(f"physics.effects: expected null, what is missing is to be found, found {group['effects']!r}")
-    group["effects"] = None
-    physics = load_physics(group)
+def set_up(
+    physics: Physics,
+    train: Record,
+    test: Record,
+    settings: DiscoverySettings,
+    training: TrainingSettings,
+    *,
+    effects: Sequence[Effect] = (),
+    validation: Record | None = None,
+    realisation: int = 0,
+    notify: Callable[[str], None],
+) -> Setup:
+    """effects: added to the catalogue; realisation: which dataset of the records. Raises `ValueError` with one sentence
+    for everything that could turn out to be bad input later."""
+    if effects_of(physics.params):
+        raise ValueError(f"physics {physics.name!r}: expected one without effects, what is missing is to be found")
+    nominal, physics = physics, physics.variant(**_chosen(physics, settings.replace))
     if physics.remark:
         notify(physics.remark)
-    catalogue(physics, settings.without)
-    whole = {name: None if name == "window" else value for name, value in config["data"].items()}
-    splits = load_splits(whole, physics, notify)
-    if len(splits.train.u) > 1:
-        notify(
-            f"discovery looks at the first of {len(splits.train.u)} realisations (data.realisations=1 loads no more)"
-        )
-    one = Splits(*(take(record, 0) for record in splits))
-    estimation = join(one.train, one.validation)
-    shared = conventions(config["data"]).shared_initial_state
+    catalogue(physics, settings.without, effects)  # raises for names that it does not have
+    signals = physics.inputs, physics.outputs, physics.dt
+    parts = estimation_parts(matched(train, *signals, where="data: train"), validation)
+    records = [*parts, by_dataset(matched(test, *signals, where="data: test"))]
+    count = len(parts[0].u)
+    if not 0 <= realisation < count:
+        raise ValueError(f"realisation: expected 0 to {count - 1}, found {realisation}")
+    if count > 1:
+        notify(f"discovery looks at realisation {realisation} of {count}")
+    one, aside, tested = (take(record, min(realisation, len(record.u) - 1)) for record in records)
+    estimation = join(one, aside)
     stretches, fixed = _stretches(settings.stretches, physics, estimation), _fixed(settings.fixed, physics)
     block = _block(settings, estimation) if not stretches else settings.block
     settings = replace(settings, stretches=stretches, fixed=fixed, block=block)
-    start = Start.SHARED if shared else Start.AT_REST if config["initial_state"] == "zero" else Start.UNKNOWN
-    _check(physics, estimation, one.test, settings, start)
-    return Setup(dict(config), group, physics, estimation, one.test, start, settings)
+    start = STARTS[tested.info.start]
+    _check(physics, estimation, tested, settings, start)
+    return Setup(
+        nominal, physics, catalogue(physics, (), effects), one, aside, estimation, tested, start, settings, training
+    )
+
+
+def _chosen(physics: Physics, wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of the physics that change."""
+    present = physics.settings
+    found = {name: _replaced(wanted[name], value) for name, value in present.items() if name in wanted}
+    return {name: value for name, value in found.items() if value is not present[name] and value != present[name]}
 
 
 def _replaced(chosen: Any, value: Any) -> Any:

@@ -46,7 +46,8 @@ class Line(NamedTuple):
 def flexible_problem(problem: Problem) -> Problem:
     """The same problem with every flexible correction beside the catalogue."""
     fixed = {slot.path[0] for slot in problem.slots if slot.effect is None and not slot.meaning.trainable}
-    return build_problem(problem.physics, (*problem.effects, *flexible_effects(problem.physics)), fixed=sorted(fixed))
+    effects = (*problem.effects, *flexible_effects(problem.physics))
+    return build_problem(problem.physics, effects, fixed=sorted(fixed), accelerate=problem.code.accelerate)
 
 
 def in_flexible(problem: Problem, flexible: Problem, model: Validated, start: Float[np.ndarray, "seq x"]) -> Validated:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.acceleration.background import ahead, compile_look
+from pgrssnn_jax.acceleration.background import ahead
 from pgrssnn_jax.discovery.beyond import Beyond, for_corrections, look_beyond
 from pgrssnn_jax.discovery.cuts import cut, in_one
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
@@ -21,6 +21,7 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.linear import left_out, look_linear
 from pgrssnn_jax.discovery.look import look_at
 from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.precompile import compile_look
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.prove import (
     Merit,
@@ -32,12 +33,12 @@ from pgrssnn_jax.discovery.prove import (
     recalibrated_from_spread,
 )
 from pgrssnn_jax.discovery.search import Found, search
-from pgrssnn_jax.discovery.setup import DiscoverySettings, Setup, Start
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, flexible_problem, formula
 from pgrssnn_jax.discovery.verdict import Judged, judge
-from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.records.record import Record
 
 _STEPS = 12  # of a fit to stretches: they are nearly linear
@@ -82,7 +83,8 @@ class Discovery(NamedTuple):
 
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
     """Of a physics whose free run over the record stays finite (`check_free_run`)."""
-    problem = build_problem(setup.physics, catalogue(setup.physics), fixed=setup.settings.fixed)
+    chosen = setup.settings
+    problem = build_problem(setup.physics, setup.effects, fixed=chosen.fixed, accelerate=chosen.accelerate)
     return discover_in(problem, setup.estimation, setup.test, setup.settings, notify, start=setup.start)
 
 
@@ -110,7 +112,7 @@ def discover_in(
         whole = estimation._replace(u=uncut.u, y=uncut.y, mask=uncut.weight > 0)
         with _timed(seconds, "recalibrate"):
             looks: dict[str, Callable[[], None]] = {}
-            if flexible is None and not in_stretches:
+            if flexible is None and not in_stretches and chosen.accelerate:
                 looks["name"] = partial(compile_look, problem, record, settings)
                 flexible = flexible_problem(problem)
                 wide = cut(flexible, estimation, chosen, 0, start)

@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from flax import nnx
 
-from pgrssnn_jax.models.networks import ACTIVATIONS, ModelSpec, Networks
+from pgrssnn_jax.models.networks import ACTIVATIONS, Networks
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics, Signal
-from pgrssnn_jax.records.record import Record
-from pgrssnn_jax.records.scaling import Scaling, fit_scaling, identity
+from pgrssnn_jax.records.scaling import Scaling
 
 
 class ModelParams(NamedTuple):
@@ -77,13 +77,6 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
 
     graph = nnx.graphdef(nnx.eval_shape(lambda: create(jax.random.key(0))))
     return Model(spec, physics, graph, lambda key: nnx.state(create(key), nnx.Param))
-
-
-def model_scaling(model: Model, train: Record, *, rates_like_outputs: bool = False) -> Scaling:
-    """Scaling of this model's signals from one training record; a black box's states are left as they are."""
-    physics = model.physics if model.spec.guided else None
-    scaling = fit_scaling(train, physics, rates_like_outputs=rates_like_outputs)
-    return scaling if model.spec.guided else scaling._replace(x=identity(model.n_x))
 
 
 def first_output_state(model: Model, y_first: jax.Array, u_first: jax.Array) -> jax.Array:

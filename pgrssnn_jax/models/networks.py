@@ -10,8 +10,7 @@ With radial features instead, f_nn = W_x φ([u_t, x_{t-1}]) and g_nn = W_y φ([u
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,35 +19,9 @@ from jaxtyping import Float
 
 from pgrssnn_jax.models.gru import GRU
 from pgrssnn_jax.models.radial import Radial
+from pgrssnn_jax.models.spec import ModelSpec
 
 ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {"relu": jax.nn.relu, "sigmoid": jax.nn.sigmoid}
-
-
-@dataclass(frozen=True)
-class ModelSpec:
-    """Which of the published variants, or the baseline W-PGNN, a model is.
-
-    guided: physics in f and g; networks: False leaves the physics alone; recurrent: a GRU, else dense layers only
-    (FC); feedback: x_{t-1} goes into φ_u; hidden: n_h; gru_layers: stacked GRUs, the last one's state is used;
-    gru_bias: biases in the GRU (published: none); start_from_physics: output heads start at zero, so that the
-    untrained model is the physics; correction: f_nn is multiplied by it (published: 1). A physics that integrates
-    piles up what is added at every step, so that a small fraction of a state's scale is enough; regularisation: λ of
-    the weighted penalty on corrections where data is scarce (`objective.py`). None of the three touches a black box,
-    whose states are the networks' own. features: dense layers, or n_h radial basis functions (no GRU).
-    """
-
-    guided: bool = True
-    networks: bool = True
-    recurrent: bool = True
-    feedback: bool = False
-    activation: Literal["relu", "sigmoid"] = "relu"
-    hidden: int = 16
-    gru_layers: int = 1
-    gru_bias: bool = False
-    start_from_physics: bool = False
-    correction: float = 1.0
-    features: Literal["dense", "radial"] = "dense"
-    regularisation: float = 0.0
 
 
 def _uniform_fan_in(fan_in: int) -> nnx.Initializer:

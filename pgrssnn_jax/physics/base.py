@@ -8,8 +8,11 @@ States, inputs and outputs are in physical units; one sample at a time (`x [n_x]
 the rest. A `Physics` never raises inside compiled code: a state that leaves the floating-point range is data.
 """
 
+import inspect
+import warnings
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from functools import wraps
+from typing import Any, Literal, NamedTuple, ParamSpec, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +22,7 @@ from jaxtyping import Float
 from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
 
 Params = Any
+OutputTiming = Literal["after_step", "before_step"]
 Step = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " x"]]
 Skeleton = Callable[[Float[np.ndarray, "*batch y"]], Float[np.ndarray, "*batch points 3"]]
 Measure = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " y"]]
@@ -58,11 +62,21 @@ class Signal(NamedTuple):
     fit_initial: bool = False
 
 
+class Origin(NamedTuple):
+    """How a physics was built: `build(**settings)` builds it again. target: where `build` can be imported from, empty
+    where nobody said."""
+
+    build: Callable[..., "Physics"]
+    settings: Mapping[str, Any]
+    target: str = ""
+
+
 class Physics(NamedTuple):
     """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
     pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
     there is nothing to draw. remark: a line for the user of what the physics was built from.
-    differentiable: does `step` let gradients through?"""
+    differentiable: does `step` let gradients through? origin: its builder and settings, None where they are not known;
+    discovered: were its numbers fitted to a whole estimation record?"""
 
     name: str
     step: Step
@@ -73,10 +87,56 @@ class Physics(NamedTuple):
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     dt: float
-    output_timing: Literal["after_step", "before_step"] = "after_step"
+    output_timing: OutputTiming = "after_step"
     skeleton: Skeleton | None = None
     remark: str = ""
     differentiable: bool = True
+    origin: Origin | None = None
+    discovered: bool = False
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """What `variant` may change, with the present values."""
+        return {} if self.origin is None else self.origin.settings
+
+    def variant(self, **changes: Any) -> "Physics":
+        """The same physics with other settings of its builder; numbers that these do not concern stay as they are.
+
+        Raises `ValueError` for a setting that the builder does not have.
+        """
+        for name in changes:
+            if name not in self.settings:
+                known = sorted(self.settings)
+                raise ValueError(f"physics {self.name!r}: variant: expected settings among {known}, found {name!r}")
+        if self.origin is None:
+            return self
+        before = self.origin.build(**self.settings)
+        after = self.origin.build(**{**self.settings, **changes})
+        untouched = [
+            name
+            for name in after.params
+            if name in before.params
+            and np.shape(after.params[name]) == np.shape(self.params[name])
+            and np.array_equal(before.params[name], after.params[name])
+        ]
+        params = {**after.params, **{name: self.params[name] for name in untouched}}
+        return after._replace(params=params, origin=after.origin and after.origin._replace(target=self.origin.target))
+
+
+Settings = ParamSpec("Settings")
+
+
+def remembered(build: Callable[Settings, Physics]) -> Callable[Settings, Physics]:
+    """A builder of the library whose physics knows it and all its settings, defaults included."""
+
+    @wraps(build)
+    def built(*args: Settings.args, **kwargs: Settings.kwargs) -> Physics:
+        physics = build(*args, **kwargs)
+        given = inspect.signature(build).bind(*args, **kwargs)
+        given.apply_defaults()
+        return physics._replace(origin=Origin(built, given.arguments, f"pgrssnn_jax.physics.{build.__name__}"))
+
+    return built
 
 
 def is_parameter(leaf: object) -> bool:
@@ -94,16 +154,20 @@ def discrete(
     outputs: tuple[Signal, ...],
     dt: float,
     parameters: Mapping[str, Any] | None = None,
-    output_timing: Literal["after_step", "before_step"] = "after_step",
+    output_timing: OutputTiming = "after_step",
     skeleton: Skeleton | None = None,
     remark: str = "",
     differentiable: bool = True,
+    reads: str | None = None,
 ) -> Physics:
-    """A `Physics` from x_t = step(params, x_{t-1}, u_t).
+    """A `Physics` from x_t = step(params, x_{t-1}, u_t). reads: the old spelling of `output_timing`.
 
     Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
     output that does not exist, or when `dt` is not positive.
     """
+    if reads is not None:
+        warnings.warn("physics: 'reads' is now called 'output_timing'", FutureWarning, stacklevel=2)
+        output_timing = cast(OutputTiming, reads)
     meanings = jax.tree.map(lambda _: Parameter(), params) if parameters is None else parameters
     found = jax.tree.structure(meanings, is_leaf=is_parameter)
     if found != jax.tree.structure(params):
@@ -166,8 +230,14 @@ def continuous(
     integrator: `euler` or `rk4`; sub_steps: integration steps of dt / sub_steps seconds per sample. The other
     arguments are those of `discrete`.
     """
-    step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
-    return discrete(name, step, measure, params, dt=dt, **signals)
+
+    def build(integrator: Integrator | str, sub_steps: int) -> Physics:
+        step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
+        return discrete(name, step, measure, params, dt=dt, **signals)._replace(
+            origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps})
+        )
+
+    return build(integrator, sub_steps)
 
 
 def check_physics(physics: Any, where: str) -> None:

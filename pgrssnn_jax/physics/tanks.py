@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous, remembered
 
 _MEANINGS = {
     "k1": Parameter("k1", "sqrt(V)/s", bounds=(0.0, 1.0)),
@@ -44,6 +44,7 @@ def measure(p: Any, x: Float[jax.Array, "2"], u: Float[jax.Array, "1"]) -> Float
     return x[1:]
 
 
+@remembered
 def cascaded_tanks(
     *,
     k1: float = 0.0464,

@@ -6,7 +6,7 @@ A `Record` holds the inputs and outputs of one or more sequences of equal length
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
 
 Array = jax.Array | np.ndarray
+Start = Literal["unknown", "rest", "shared"]
 
 
 class Channel(NamedTuple):
@@ -31,7 +32,8 @@ class RecordInfo:
 
     source: `file`, `download` or `simulated`; origin: where exactly, in words; padded: sequences of unequal length were
     filled up at their ends, after the last measured sample; begins: sample of the measured record at which it was cut;
-    same_run: a validation record that is the training record with other samples measured (`splits.py`).
+    same_run: a validation record that is the training record with other samples measured (`splits.py`); start: what is
+    known of x_0: nothing, at rest (zero), or shared by the training and the test record; benchmark: its name, or empty.
     """
 
     inputs: tuple[Channel, ...]
@@ -42,19 +44,23 @@ class RecordInfo:
     padded: bool = False
     begins: int = 0
     same_run: bool = False
+    start: Start = "unknown"
+    benchmark: str = ""
 
 
 class Record(NamedTuple):
     """Signals u_t, y_t for t = 1 .. T.
 
     u `[..., seq, time, u]` and y `[..., seq, time, y]` in the physical units of `info`; mask
-    `[..., seq, time, y]` is True where y was measured (y is finite but meaningless elsewhere).
+    `[..., seq, time, y]` is True where y was measured (y is finite but meaningless elsewhere). validation: the record
+    that training sets aside, where the data come with one.
     """
 
     u: Float[Array, "*members seq time u"]
     y: Float[Array, "*members seq time y"]
     mask: Bool[Array, "*members seq time y"]
     info: RecordInfo
+    validation: "Record | None" = None
 
 
 class Splits(NamedTuple):

@@ -1,9 +1,9 @@
-"""Cross-validation across members: every member sets other blocks of the record aside.
+"""Which part of an estimation record validates: a record of its own, its tail, or blocks that members take in turn.
 
     sample t trains member m where floor(t / block) mod folds ≠ seed(m) mod folds, and validates it elsewhere
 
-All members predict the whole record; only the masks differ. Nothing of the record is lost to the ensemble, and early
-stopping sees every part of it, also where a physics has been fitted to all of it.
+In k-fold cross-validation across members all members predict the whole record; only the masks differ. Nothing of the
+record is lost to the ensemble, and early stopping sees every part of it, also where a physics has been fitted to it.
 Source: Krogh and Vedelsby, Neural network ensembles, cross validation, and active learning, NIPS 1995.
 """
 
@@ -12,8 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pgrssnn_jax.data.sources import check_count
-from pgrssnn_jax.records.record import Record, continues, join, stack, take
+from pgrssnn_jax.records.arguments import check_count
+from pgrssnn_jax.records.record import Record, continues, crop, join, stack, take, windows
+
+_TAIL = 4  # one part in so many of a record validates where nothing else is said
 
 
 @dataclass(frozen=True)
@@ -56,3 +58,51 @@ def kfold_masks(train: Record, validation: Record, seeds: Sequence[int], folds: 
         if not mask.any((1, 2, 3)).all():
             raise ValueError(f"data.folds: expected measured samples to {name} on in every fold, found one with none")
     return whole._replace(mask=seen), whole._replace(mask=kept_back, info=replace(whole.info, same_run=True))
+
+
+def by_dataset(whole: Record) -> Record:
+    """A record with its leading axis of datasets (realisations), `[dataset, seq, time, channel]`."""
+    return whole._replace(validation=None) if whole.u.ndim == 4 else stack([whole])
+
+
+def estimation_parts(train: Record, validation: Record | None = None) -> tuple[Record, Record]:
+    """The training and the validation part, `[dataset, seq, time, channel]`: the validation record that is given, else
+    the one that came with the data, else the tail of the training record."""
+    aside = train.validation if validation is None else validation
+    if aside is None:
+        train, aside = split_tail(train)
+    return by_dataset(train), by_dataset(aside)
+
+
+def split_tail(whole: Record, count: int | None = None) -> tuple[Record, Record]:
+    """A record without its end, and its end: samples in time of a single sequence (count, None: a quarter), or the last
+    quarter of several sequences, of which the first `count` samples."""
+    n_seq, time = whole.u.shape[-3:-1]
+    if n_seq == 1:
+        tail = max(1, time // _TAIL) if count is None else count
+        check_count("data.n_validation", tail, 1, time - 1, f"of the {time} samples in {whole.info.origin}")
+        return crop(whole, 0, time - tail), crop(whole, time - tail, time)
+    cut = n_seq - max(1, n_seq // _TAIL)
+    return _sequences(whole, slice(0, cut)), front(_sequences(whole, slice(cut, None)), "data.n_validation", count)
+
+
+def front(whole: Record, key: str, count: int | None) -> Record:
+    """The first `count` samples of every sequence; key: the setting that says so, for messages."""
+    if count is None:
+        return whole
+    check_count(key, count, 1, whole.u.shape[-2], f"samples per sequence in {whole.info.origin}")
+    return crop(whole, 0, count)
+
+
+def cut_windows(train: Record, length: int) -> Record:
+    """Training sequences `[dataset, seq, time, channel]` cut into windows; those that are nothing but padding go."""
+    check_count("data.window", length, 1, train.u.shape[-2], "samples per training sequence")
+    cut = windows(train, length)
+    if not train.info.padded:
+        return cut
+    used = np.any(cut.mask, axis=(0, 2, 3))
+    return cut._replace(u=cut.u[:, used], y=cut.y[:, used], mask=cut.mask[:, used])
+
+
+def _sequences(whole: Record, which: slice) -> Record:
+    return whole._replace(u=whole.u[..., which, :, :], y=whole.y[..., which, :, :], mask=whole.mask[..., which, :, :])

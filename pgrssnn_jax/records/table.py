@@ -5,6 +5,7 @@ sentence: file, line (the header is line 1), column, what was expected, what was
 """
 
 import csv
+import hashlib
 import io
 import math
 from collections import Counter
@@ -13,8 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-
-from pgrssnn_jax.data.sources import fingerprint
 
 _LONGEST = 40  # characters of a bad cell shown in a message
 
@@ -140,3 +139,8 @@ def _check_length(path: str | Path, header: list[str], row: list[str], line: int
         raise problem(path, line, header[len(row)] or None, f"{named} cells", str(len(row)))
     if any(row[len(header) :]):
         raise problem(path, line, header[named - 1], f"{len(header)} cells", str(len(row)))
+
+
+def fingerprint(content: bytes) -> str:
+    """The first 12 hexadecimal digits of the SHA-256 of a file's bytes."""
+    return hashlib.sha256(content).hexdigest()[:12]

@@ -6,92 +6,133 @@ Means are never taken over silently missing members: planned, finished and faile
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.records.record import Array, Record, valid_mask
-from pgrssnn_jax.records.scaling import Units
+from pgrssnn_jax.records.scaling import Scaling, Units
 from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.metrics import all_metrics, rmse
-from pgrssnn_jax.training.objective import MemberData, Objective
+from pgrssnn_jax.training.objective import Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
+from pgrssnn_jax.training.plan import MemberTests, Plan
+
+
+class Trained(NamedTuple):
+    """What predicting needs of trained members: their best parameters, scaling and units, all `[member]` first.
+
+    start `[member, x]`: x_0 of the first training sequence, NaN where it is not known; statuses: how training ended.
+    """
+
+    objective: Objective
+    mapping: MemberMapping
+    members: Sequence[Member]
+    state: MemberState
+    scaling: Scaling
+    units: Units
+    start: np.ndarray
 
 
 class Predictions(NamedTuple):
-    """Free runs with the best parameters of every member, in physical units: `[member, seq, time, y]`; finite
-    `[member]` is False where a state left the floating-point range; x0 `[member, seq, x]`: where the test runs started.
-    """
+    """Free runs with the best parameters of every member, in measured units: y `[member, seq, time, y]`; finite
+    `[member]` is False where a state left the floating-point range; x0 `[member, seq, x]`: where the runs started."""
 
-    test: np.ndarray
-    validation: np.ndarray
+    y: np.ndarray
     finite: np.ndarray
     x0: np.ndarray
 
 
-def predict(
-    objective: Objective,
-    state: MemberState,
-    data: MemberData,
-    test: Record,
-    mapping: MemberMapping,
-) -> Predictions:
-    """Runs the best parameters of every member on its validation and test records `[member, seq, time, channel]`."""
-
-    def one(state: MemberState, data: MemberData, test: Record) -> tuple[Array, ...]:
-        model, params = objective.model, objective.assemble(state.best, data.scaling)
-        start = objective.test_state(state.best, data, test)
-        on_test = rollout(model, params, test.u, start, valid=valid_mask(test))
-        on_validation = objective.validate(state.best, data)
-        return on_test.y, on_validation.y, (on_test.first_bad == test.u.shape[1]).all(), start
-
-    return Predictions(*map(np.asarray, jit_members(one, mapping)(state, data, test)))
+def has_failed(outcome: int) -> bool:
+    """Of `MemberState.outcome`."""
+    return MemberStatus(outcome).failed
 
 
-def in_physical_units(predictions: Predictions, units: Units) -> Predictions:
-    """Undoes the standardisation of records (`scaling.standardise`); units per member."""
-    offset, scale = (np.asarray(a)[:, None, None, :] for a in units.y)
-    return predictions._replace(
-        test=offset + scale * predictions.test, validation=offset + scale * predictions.validation
+def trained_members(plan: Plan, state: MemberState) -> Trained:
+    """The members of a plan after training."""
+    start = jit_members(lambda s, d: plan.fit.objective.trained_start(s.best, d), plan.mapping)(state, plan.data)
+    return Trained(
+        plan.fit.objective, plan.mapping, plan.members, state, plan.data.scaling, plan.units, np.asarray(start)
     )
 
 
-def member_rows(
-    members: Sequence[Member],
-    state: MemberState,
-    predictions: Predictions,
-    *,
-    validation: Record,
-    test: Record,
-    n_inits: Sequence[int],
-) -> list[dict[str, Any]]:
-    """One entry of `metrics.json` per member; validation and test are measured records `[member, seq, time, y]`.
+def predict(trained: Trained, test: Record) -> Predictions:
+    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in."""
 
-    The first of n_inits is the one of the main figures.
-    """
+    def one(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
+        x0 = trained.objective.test_state(state.best, scaling, start, test)
+        return *_free_run(trained.objective, state, scaling, test.u, x0, valid_mask(test)), x0
+
+    start = trained.start.astype(np.float32)
+    y, finite, x0 = jit_members(one, trained.mapping)(trained.state, trained.scaling, start, test)
+    return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0))
+
+
+def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions:
+    """Runs every member from u `[seq, time, u]` in measured units and x0 `[member, seq, x]` in the physics' units."""
+
+    def one(state: MemberState, scaling: Scaling, units: Units, x0: Array) -> tuple[Array, ...]:
+        return _free_run(trained.objective, state, scaling, units.u.to_scaled(jnp.asarray(u, jnp.float32)), x0, None)
+
+    start = jnp.asarray(x0, jnp.float32)
+    y, finite = jit_members(one, trained.mapping)(trained.state, trained.scaling, trained.units, start)
+    return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0))
+
+
+def predict_validation(plan: Plan, state: MemberState) -> np.ndarray:
+    """Outputs `[member, seq, time, y]` on the validation records, in measured units."""
+    run = jit_members(lambda s, d: plan.fit.objective.validate(s.best, d).y, plan.mapping)
+    return _measured(run(state, plan.data), plan.units)
+
+
+def _free_run(
+    objective: Objective, state: MemberState, scaling: Scaling, u: Array, x0: Array, valid: Array | None
+) -> tuple[Array, Array]:
+    run = rollout(objective.model, objective.assemble(state.best, scaling), u, x0, valid=valid)
+    return run.y, (run.first_bad == u.shape[1]).all()
+
+
+def _measured(y: Array, units: Units) -> np.ndarray:
+    """Undoes the standardisation of records (`scaling.standard_units`)."""
+    offset, scale = (np.asarray(a)[:, None, None, :] for a in units.y)
+    return offset + scale * np.asarray(y)
+
+
+def member_rows(
+    trained: Trained,
+    tests: MemberTests,
+    predictions: Predictions,
+    validation: Record | None = None,
+    validated: np.ndarray | None = None,
+) -> list[dict[str, Any]]:
+    """One entry of `metrics.json` per member; validation: measured records `[member, seq, time, y]` with what was
+    predicted on them, None where they are not at hand."""
     rows: list[dict[str, Any]] = []
-    for i, member in enumerate(members):
-        outcome = MemberStatus(int(state.outcome[i]))
-        if not outcome.failed and not predictions.finite[i]:
-            outcome = MemberStatus.STATE_NOT_FINITE
+    test, state, n_inits = tests.measured, trained.state, tests.n_inits
+    for i, member in enumerate(trained.members):
+        status = MemberStatus(int(state.outcome[i]))
+        if not status.failed and not predictions.finite[i]:
+            status = MemberStatus.STATE_NOT_FINITE
         row: dict[str, Any] = {
             **member._asdict(),
-            "status": "failed" if outcome.failed else "ok",
-            "reason": outcome.sentence if state.epoch[i] or outcome.failed else "not trained",
+            "status": "failed" if status.failed else "ok",
+            "reason": status.sentence if state.epoch[i] or status.failed else "not trained",
             "best_epoch": int(state.best_epoch[i]),
             "epochs": int(state.epoch[i]),
             "rollbacks": int(state.rollbacks[i]),
             "test": None,
             "validation": None,
         }
-        if not outcome.failed:
+        if not status.failed:
             on_test = {
-                n: all_metrics(measured=test.y[i], predicted=predictions.test[i], mask=test.mask[i], n_init=n)
+                n: all_metrics(measured=test.y[i], predicted=predictions.y[i], mask=test.mask[i], n_init=n)
                 for n in n_inits
             }
             row["test"] = on_test[n_inits[0]]
-            row["validation"] = all_metrics(
-                measured=validation.y[i], predicted=predictions.validation[i], mask=validation.mask[i], n_init=0
-            )
+            if validation is not None and validated is not None:
+                row["validation"] = all_metrics(
+                    measured=validation.y[i], predicted=validated[i], mask=validation.mask[i], n_init=0
+                )
             row["by_n_init"] = {str(n): figures for n, figures in on_test.items()}
         rows.append(row)
     return rows
@@ -107,7 +148,7 @@ def ensemble(rows: Sequence[dict[str, Any]], test: Record, predictions: Predicti
     if not finished or not same:
         missing = np.full(test.y.shape[1:], np.nan)
         return missing, missing
-    chosen = predictions.test[finished].astype(np.float64)
+    chosen = predictions.y[finished].astype(np.float64)
     return chosen.mean(0), chosen.std(0)
 
 

@@ -8,14 +8,14 @@ whole one.
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
 import pandas as pd
 
-from pgrssnn_jax.training.members import MemberMapping, jit_members
+from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.objective import MemberData
 from pgrssnn_jax.training.optimise import Fit, FitSettings, History, MemberState, MemberStatus
 
@@ -116,17 +116,17 @@ def _append(losses: Losses, history: History, settings: FitSettings) -> Losses:
     return Losses(np.concatenate([losses.train, train], 1), np.concatenate([losses.validation, validation], 1))
 
 
-def losses_table(losses: Losses, members: pd.DataFrame) -> pd.DataFrame:
+def losses_table(losses: Losses, members: Sequence[Member]) -> pd.DataFrame:
     """Rows epoch, seed, dataset, train_loss, validation_loss, one per member and epoch in which it trained.
 
-    members: columns seed and dataset, one row per member.
+    Members stand below each other.
     """
     n_members, epochs = losses.train.shape
     table = pd.DataFrame(
         {
             "epoch": np.tile(np.arange(1, epochs + 1), n_members),
-            "seed": np.repeat(members["seed"].to_numpy(), epochs),
-            "dataset": np.repeat(members["dataset"].to_numpy(), epochs),
+            "seed": np.repeat([member.seed for member in members], epochs),
+            "dataset": np.repeat([member.dataset for member in members], epochs),
             "train_loss": losses.train.ravel(),
             "validation_loss": losses.validation.ravel(),
         }

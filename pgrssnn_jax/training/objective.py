@@ -126,13 +126,17 @@ class Objective(NamedTuple):
         whole = rollout(self.model, params, u, self._train_state(theta, params, data), route=self.route)
         return Trajectory(whole.y[:, before:], whole.x[:, before:], jnp.maximum(whole.first_bad - before, 0))
 
-    def test_state(self, theta: Trainable, data: MemberData, test: Record) -> Float[Array, "seq x"]:
-        """x_0 of the test sequences: the training record's where the benchmark says that it is shared."""
-        params = self.assemble(theta, data.scaling)
-        if not self.initial.shared:
-            return start_state(self.model, params, test, self.initial)
-        start = self._train_state(theta, params, data)[:1]
-        return jnp.broadcast_to(start, (test.u.shape[0], self.model.n_x))
+    def trained_start(self, theta: Trainable, data: MemberData) -> Float[Array, " x"]:
+        """x_0 of the first training sequence."""
+        return self._train_state(theta, self.assemble(theta, data.scaling), data)[0]
+
+    def test_state(
+        self, theta: Trainable, scaling: Scaling, start: Float[Array, " x"], test: Record
+    ) -> Float[Array, "seq x"]:
+        """x_0 of the test sequences: `start`, the training record's, where the benchmark says that it is shared."""
+        if self.initial.shared:
+            return jnp.broadcast_to(start[None], (test.u.shape[0], self.model.n_x))
+        return start_state(self.model, self.assemble(theta, scaling), test, self.initial)
 
     def _train_state(self, theta: Trainable, params: ModelParams, data: MemberData) -> jax.Array:
         if theta.x0 is None:

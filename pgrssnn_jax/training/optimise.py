@@ -11,9 +11,8 @@ A member that never leaves the range trains to the same bits under both.
 Sources: Li, Seth, Kok, IFAC 2026, section 4; Kingma and Ba 2015 (Adam); Loshchilov and Hutter 2019 (AdamW).
 """
 
-from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +20,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from pgrssnn_jax.training.objective import Loss, MemberData, Objective, Trainable
+from pgrssnn_jax.training.settings import FitSettings
 
 
 class MemberStatus(IntEnum):
@@ -41,8 +41,6 @@ class MemberStatus(IntEnum):
         return _SENTENCES[self]
 
 
-ROLLBACKS = 5  # the step is then 1/32 of the first: what still leaves the range does so whatever the step
-
 _SENTENCES = {
     MemberStatus.TRAINING: "trained to the last epoch",
     MemberStatus.STOPPED_EARLY: "stopped early: validation no longer improved",
@@ -50,50 +48,6 @@ _SENTENCES = {
     MemberStatus.LOSS_NOT_FINITE: "failed: the loss left the floating-point range",
     MemberStatus.GRADIENT_NOT_FINITE: "failed: the gradient left the floating-point range",
 }
-
-
-@dataclass(frozen=True)
-class FitSettings:
-    """optimizer with learning_rate, weight_decay (adamw only) and clip_norm (gradient norm, None: off); at most
-    `epochs`, validated every `validate_every`, stopped `patience` epochs after the best; `chunk_epochs` per compiled
-    call. guard: what becomes of a member that leaves the floating-point range; physics_parameters: trained or fixed at
-    their values; checkpoint_seconds between checkpoints on disk."""
-
-    epochs: int = 1000
-    optimizer: Literal["adam", "adamw"] = "adamw"
-    learning_rate: float = 1e-3
-    weight_decay: float = 1e-2
-    clip_norm: float | None = 1.0
-    validate_every: int = 5
-    patience: int = 100
-    chunk_epochs: int = 20
-    guard: Literal["none", "rollback"] = "rollback"
-    physics_parameters: Literal["fixed", "trained"] = "fixed"
-    checkpoint_seconds: float = 30.0
-
-    def __post_init__(self) -> None:
-        for name in ("validate_every", "patience", "chunk_epochs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"fit: {name}: expected at least 1, found {getattr(self, name)}")
-        if self.epochs < 0:
-            raise ValueError(f"fit: epochs: expected 0 or more, found {self.epochs}")
-        for name in ("learning_rate", "clip_norm"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ValueError(f"fit: {name}: expected a positive number, found {value}")
-        for name in ("weight_decay", "checkpoint_seconds"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"fit: {name}: expected 0 or more, found {getattr(self, name)}")
-
-    @property
-    def blocks(self) -> int:
-        """Validations per compiled chunk."""
-        return max(1, self.chunk_epochs // self.validate_every)
-
-    @property
-    def rollbacks(self) -> int:
-        """How often a member may go back to its best parameters."""
-        return ROLLBACKS if self.guard == "rollback" else 0
 
 
 class MemberState(NamedTuple):

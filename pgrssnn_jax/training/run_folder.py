@@ -13,6 +13,7 @@ import os
 import platform
 import shutil
 import subprocess
+import zipfile
 from collections.abc import Callable, Mapping
 from importlib import metadata
 from pathlib import Path
@@ -55,12 +56,13 @@ class RunFolder:
         command: str | None,
         data: Mapping[str, str],
         choices: Mapping[str, str | None] | None = None,
+        physics: Mapping[str, Any] | None = None,
     ) -> None:
         """Writes what is known before training: configuration, environment, command, and where the data came from.
 
         The results of an earlier run in this folder go first: from here on the run is unfinished. command None: a
-        resumed run, whose environment and command stay on record. choices: names of the configuration's files, where
-        there were any.
+        resumed run, whose environment, command and physics stay on record. choices: names of the configuration's
+        files, where there were any; physics: what `effects/stored.py` needs to build it again.
         """
         for name in (
             "DONE",
@@ -72,6 +74,7 @@ class RunFolder:
             "report.html",
             "discovery.json",
             "discovery.npz",
+            *(("physics.json",) if physics is not None else ()),
         ):
             (self.path / name).unlink(missing_ok=True)
         shutil.rmtree(self.figures, ignore_errors=True)
@@ -79,6 +82,8 @@ class RunFolder:
         if command is not None:
             found = {**environment(), "command": command, "data": data, "choices": choices or {}}
             self.write_json("environment.json", found)
+        if physics is not None:
+            self.write_json("physics.json", physics)
 
     def choices(self) -> dict[str, str | None]:
         """The names of the configuration's files, as the run began with them; empty where none are on record."""
@@ -105,6 +110,17 @@ class RunFolder:
                 np.savez_compressed(file, allow_pickle=False, **arrays)
 
         self._replace(name, write)
+
+    def read_arrays(self, name: str) -> dict[str, np.ndarray]:
+        """The arrays of a file, none where there is no file; nothing in it is executed."""
+        path = self.path / name
+        if not path.is_file():
+            return {}
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                return {key: arrays[key] for key in arrays.files}
+        except (OSError, ValueError, zipfile.BadZipFile) as problem:
+            raise ValueError(f"{path}: expected arrays of numbers, found {problem}") from None
 
     def finish(self) -> None:
         self.write_text("DONE", "")
@@ -179,12 +195,14 @@ def _without_nan(content: Any) -> Any:
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """The configuration that a run folder was made with. Raises `ValueError` when `folder` holds no run."""
+    """The configuration that a run folder was made with, as it is written there: nothing in it is resolved, so that a
+    folder of others can read no variable of this machine. Raises `ValueError` when `folder` holds no run."""
     path = folder / "config.yaml"
     if not path.is_file():
         raise ValueError(f"run folder: expected one with a config.yaml, found none in {str(folder)!r}")
-    found = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    assert isinstance(found, dict)
+    found = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    if not isinstance(found, dict):
+        raise ValueError(f"{path}: expected groups of named values, found {type(found).__name__}")
     return {str(key): value for key, value in found.items()}
 
 

@@ -1,6 +1,7 @@
 """One process at a time in a run folder: a lock that ends with its process, however that ends."""
 
 import os
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -21,7 +22,7 @@ def held(folder: Path, stop: threading.Event, notify: Callable[[str], None]) -> 
     A killed sweep may leave workers behind that still train: whoever comes next waits for them. The lock is a file
     beside the folder, gone when nobody holds it. File systems that know no locks have none.
     """
-    path, file, said = folder.parent / f".{folder.name}.lock", -1, False
+    path, file, said = _lock_of(folder), -1, False
     while fcntl is not None and (file := _taken(path)) < 0 and not stop.is_set():
         if not said:
             notify(f"waiting for another process that works in {folder.name}")
@@ -30,9 +31,32 @@ def held(folder: Path, stop: threading.Event, notify: Callable[[str], None]) -> 
     try:
         yield
     finally:
-        if file >= 0:
-            path.unlink(missing_ok=True)
-            os.close(file)
+        _release(path, file)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Holds `folder` for this process. Raises `ValueError` that names the holder when another process has it."""
+    path = _lock_of(folder)
+    file = -1 if fcntl is None else _taken(path)
+    if fcntl is not None and file < 0:
+        holder = path.read_text(encoding="utf-8").strip() or "another process"
+        raise ValueError(f"{folder}: expected a run folder in which nobody writes, found {holder} at work there")
+    try:
+        yield
+    finally:
+        _release(path, file)
+
+
+def _lock_of(folder: Path) -> Path:
+    folder = folder.absolute()
+    return folder.parent / f".{folder.name}.lock"
+
+
+def _release(path: Path, file: int) -> None:
+    if file >= 0:
+        path.unlink(missing_ok=True)
+        os.close(file)
 
 
 def _taken(path: Path) -> int:
@@ -49,6 +73,8 @@ def _taken(path: Path) -> int:
         return file
     with suppress(FileNotFoundError):  # the last holder removes the file: a lock on what is gone is none
         if os.fstat(file).st_ino == path.stat().st_ino:
+            os.ftruncate(file, 0)
+            os.write(file, f"process {os.getpid()} on {socket.gethostname()}".encode())
             return file
     os.close(file)
     return -1

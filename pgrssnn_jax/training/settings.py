@@ -1,66 +1,167 @@
-"""Calling a function with a group of the composed configuration, with one sentence for what does not fit."""
+"""Every setting of a training run beside its physics and its data, each with its default, unit and source.
 
-import inspect
-import types
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+The command line groups them (`fit.epochs=20`), the Python API takes them by name (`epochs=20`): names are unique.
+Source of the published values: Li, Seth, Kok, IFAC 2026, and the authors' released code.
+"""
 
-T = TypeVar("T")
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Literal, NamedTuple
+
+from pgrssnn_jax.models.spec import ModelSpec, variant_changes
+from pgrssnn_jax.records.arguments import call_with
+
+InitialStateKind = Literal["zero", "scaled_zero", "first_output", "estimated"]
+Guard = Literal["none", "rollback"]
+ROLLBACKS = 5  # the step is then 1/32 of the first: a member that still leaves the range does so whatever the step
 
 
-def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, **more: Any) -> T:
-    """`function(**group, **more)` with every value of the group checked against the parameter's annotation.
+@dataclass(frozen=True)
+class FitSettings:
+    """How one member is optimised; the defaults are those of the released code, but for the guard."""
 
-    where: the group's name in the configuration, for messages; arguments of `more` that the function does not take are
-    left out. Raises `ValueError` for an unknown key, for a missing one, and for a value of another type or outside
-    its choices; the checks of `function` itself apply too.
+    epochs: int = 1000  # at most
+    optimizer: Literal["adam", "adamw"] = "adamw"
+    learning_rate: float = 1e-3  # no unit
+    weight_decay: float = 1e-2  # per unit of learning rate; adamw only, networks only
+    clip_norm: float | None = 1.0  # norm of the gradient; None: off
+    validate_every: int = 5  # epochs
+    patience: int = 100  # epochs after the best validation
+    chunk_epochs: int = 20  # epochs per compiled call; the progress bar moves once per chunk
+    guard: Guard = "rollback"  # "none": a member that leaves the floating-point range has failed, as the paper counts
+    physics_parameters: Literal["fixed", "trained"] = "fixed"
+    checkpoint_seconds: float = 30.0  # s between checkpoints; one is always written at the end and on Ctrl-C
+
+    def __post_init__(self) -> None:
+        for name in ("validate_every", "patience", "chunk_epochs"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"fit: {name}: expected at least 1, found {getattr(self, name)}")
+        if self.epochs < 0:
+            raise ValueError(f"fit: epochs: expected 0 or more, found {self.epochs}")
+        for name in ("learning_rate", "clip_norm"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"fit: {name}: expected a positive number, found {value}")
+        for name in ("weight_decay", "checkpoint_seconds"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"fit: {name}: expected 0 or more, found {getattr(self, name)}")
+
+    @property
+    def blocks(self) -> int:
+        """Validations per compiled chunk."""
+        return max(1, self.chunk_epochs // self.validate_every)
+
+    @property
+    def rollbacks(self) -> int:
+        """How often a member may go back to its best parameters."""
+        return ROLLBACKS if self.guard == "rollback" else 0
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """Which members are trained, where records start, what validates, and which figures are reported."""
+
+    seed: int = 0  # first seed; members take seed, seed + 1, ...
+    n_seeds: int = 10  # members per dataset: runs per model in the paper
+    initial_state: InitialStateKind = "first_output"  # published: zero; see `models/initial_state.py`
+    n_init: int = 50  # samples from which initial_state=estimated finds the start of a record
+    accelerate: bool = True  # False: without the tricks of `pgrssnn_jax.acceleration`, slower, equal results
+    report_n_init: Sequence[int] = (0, 5, 50)  # samples left out of the test record's start; first: main figure
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("seed", 0, 2**31 - 1), ("n_seeds", 1, 10**6)):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"{name}: expected {least} to {most}, found {getattr(self, name)}")
+        windows = self.report_n_init
+        object.__setattr__(self, "report_n_init", tuple(windows) if isinstance(windows, list) else windows)
+        if not isinstance(windows, list | tuple) or not all(type(n) is int and n >= 0 for n in windows):
+            raise ValueError(f"report_n_init: expected a list of sample counts like [0, 5, 50], found {windows!r}")
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """How records are used, beside the arguments of the loader that finds them."""
+
+    published_scaling: bool = False  # True: the physics acts on standardised signals, as in the published code
+    folds: int = 0  # k: member by seed, another k-th of the record validates, blocks taking turns; 0: its own split
+    block: int = 32  # samples of such a block
+    window: int | None = None  # samples per training sequence; None: sequences stay whole
+
+
+@dataclass(frozen=True)
+class MemberSettings:
+    """How members are mapped; `auto` is what `benchmarks/rollout.py` finds fastest."""
+
+    how: Literal["auto", "vmap", "loop"] = "auto"
+    sub_batch: int | None = None  # members per vmap; None: all
+    devices: int | Literal["auto"] = "auto"  # JAX devices over which members are sharded
+    optimisation: int | None = None  # of machine code: 0 (compiles fast, runs slower) to 3; None: compiler's
+
+
+class TrainingSettings(NamedTuple):
+    """name: of the model, for people and file names."""
+
+    name: str
+    model: ModelSpec
+    fit: FitSettings
+    run: RunSettings
+    data: DataSettings
+    members: MemberSettings
+
+
+GROUPS: Mapping[str, type] = {
+    "model": ModelSpec,
+    "fit": FitSettings,
+    "run": RunSettings,
+    "data": DataSettings,
+    "members": MemberSettings,
+}
+GROUP_OF = {field.name: group for group, kind in GROUPS.items() for field in fields(kind)}
+
+
+def training_settings(model: str | ModelSpec, *changes: Mapping[str, Any]) -> TrainingSettings:
+    """The defaults with `changes` by name; later ones win over earlier ones, and all over those of the model's name.
+
+    Raises `ValueError` for an unknown model or setting, and for a value that a setting cannot take.
     """
-    named = getattr(function, "func", function)  # functools.partial
-    hints = get_type_hints(named.__init__ if inspect.isclass(named) else named)
-    parameters = inspect.signature(function).parameters
-    known = [name for name in parameters if name not in more]
-    anything = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    for name in group:
-        if name not in known and not anything:
-            raise ValueError(f"{where}: expected the keys {known}, found {name!r}")
-    arguments = {name: _checked(value, hints.get(name, Any), f"{where}.{name}") for name, value in group.items()}
-    arguments |= {name: value for name, value in more.items() if name in parameters}
-    for name, parameter in parameters.items():
-        optional = parameter.default is not parameter.empty or parameter.kind in (
-            parameter.VAR_KEYWORD,
-            parameter.VAR_POSITIONAL,
-        )
-        if not optional and name not in arguments:
-            raise ValueError(f"{where}.{name}: expected a value, found none")
-    return function(**arguments)
+    name = model if isinstance(model, str) else "custom"
+    own = variant_changes(model) if isinstance(model, str) else vars(model)
+    given: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
+    for key, value in {key: value for part in (own, *changes) for key, value in part.items()}.items():
+        if key not in GROUP_OF:
+            raise ValueError(f"settings: expected some of {sorted(GROUP_OF)}, found {key!r}")
+        given[GROUP_OF[key]][key] = value
+    return _checked(name, given)
 
 
-def _checked(value: Any, hint: Any, where: str) -> Any:
-    options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if any(_accepts(option, value) for option in options):
-        return float(value) if float in options and isinstance(value, int) and int not in options else value
-    raise ValueError(f"{where}: expected {_named(options)}, found {value!r}")
+def settings_from_config(config: Mapping[str, Any]) -> TrainingSettings:
+    """The settings of a configuration, in which those of a run stand at the top level and those of data beside the
+    arguments of the loader. Old spellings are taken with a warning. Raises `ValueError` as `training_settings`."""
+    given = {
+        "model": {key: value for key, value in config["model"].items() if key != "name"},
+        "fit": dict(config["fit"]),
+        "run": {field.name: config[field.name] for field in fields(RunSettings) if field.name in config},
+        "data": {
+            field.name: config["data"][field.name] for field in fields(DataSettings) if field.name in config["data"]
+        },
+        "members": dict(config["members"]),
+    }
+    if given["fit"].get("guard") == "retreat":
+        warnings.warn("fit.guard: 'retreat' is now called 'rollback'", FutureWarning, stacklevel=2)
+        given["fit"]["guard"] = "rollback"
+    return _checked(str(config["model"]["name"]), given)
 
 
-def _accepts(option: Any, value: Any) -> bool:
-    if option is Any or isinstance(option, TypeVar):
-        return True
-    if get_origin(option) is Literal:
-        return value in get_args(option)
-    kind = get_origin(option) or option
-    if isinstance(value, bool) and kind in (int, float):
-        return False
-    accepted = {float: (int, float), Sequence: (list, tuple), Path: (str, Path)}.get(kind, kind)
-    return isinstance(value, accepted)
+def settings_to_config(settings: TrainingSettings) -> dict[str, Any]:
+    """The inverse of `settings_from_config`, as plain data."""
+    groups = {group: asdict(getattr(settings, group)) for group in GROUPS}
+    run = {**groups.pop("run"), "report_n_init": list(settings.run.report_n_init)}
+    return {**groups, "model": {"name": settings.name, **groups["model"]}, **run}
 
 
-def _named(options: tuple[Any, ...]) -> str:
-    words: list[str] = []
-    for option in options:
-        if get_origin(option) is Literal:
-            words += [str(choice) for choice in get_args(option)]
-        else:
-            origin = get_origin(option) or option
-            words.append({type(None): "null", Sequence: "a list"}.get(origin, getattr(origin, "__name__", str(origin))))
-    return " | ".join(words)
+def _checked(name: str, given: Mapping[str, Mapping[str, Any]]) -> TrainingSettings:
+    where = {group: "" if group == "run" else group for group in GROUPS}
+    return TrainingSettings(
+        name, **{group: call_with(kind, given[group], where[group]) for group, kind in GROUPS.items()}
+    )

@@ -17,8 +17,8 @@ from toys import (
 )
 
 from pgrssnn_jax.models.model import ModelParams, build_model, first_output_state, model_scaling
-from pgrssnn_jax.models.networks import ModelSpec
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.scaling import fit_scaling

@@ -5,7 +5,8 @@ import pytest
 from flax import nnx
 from toys import PUBLISHED, spec
 
-from pgrssnn_jax.models.networks import ACTIVATIONS, ModelSpec, Networks, TwoDense
+from pgrssnn_jax.models.networks import ACTIVATIONS, Networks, TwoDense
+from pgrssnn_jax.models.spec import ModelSpec
 
 SIZES = {"n_u": 2, "n_x": 3, "n_y": 5}
 

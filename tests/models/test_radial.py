@@ -11,9 +11,9 @@ from small import small_fit
 from toys import TOY_PARAMS, quick_jit, toy_measure, toy_model, toy_params, toy_signals, toy_step
 
 from pgrssnn_jax.models.model import build_model
-from pgrssnn_jax.models.networks import ModelSpec
 from pgrssnn_jax.models.radial import Radial, gaussians, scarcity, surrogate_points
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.training.members import select
 from pgrssnn_jax.training.objective import Trainable

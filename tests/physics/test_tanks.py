@@ -8,8 +8,8 @@ import scipy.integrate
 from jax.test_util import check_grads
 
 from pgrssnn_jax.models.model import ModelParams, build_model
-from pgrssnn_jax.models.networks import ModelSpec
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.tanks import cascaded_tanks, clamped, derivative, measure, safe_sqrt
 from pgrssnn_jax.records.scaling import Scaling, identity
 from pgrssnn_jax.training import metrics

@@ -9,7 +9,7 @@ from toys import quick_jit
 
 from pgrssnn_jax.cli.entry import stop_signal
 from pgrssnn_jax.models.initial_state import InitialState
-from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.records.scaling import Affine, Units
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.loop import Losses, Training, no_losses, train

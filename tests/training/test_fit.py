@@ -11,7 +11,7 @@ import pytest
 from small import small_fit
 from toys import quick_jit
 
-from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Parameter
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.training.loop import Losses, Training, losses_table, no_losses, train

@@ -7,7 +7,7 @@ import pytest
 from small import small_fit
 from toys import quick_jit
 
-from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
 from pgrssnn_jax.training.optimise import FitSettings, MemberStatus
 

@@ -28,7 +28,7 @@ from pgrssnn_jax.physics.arms.stops import stopped_joints, stuck_joints
 from pgrssnn_jax.physics.arms.tables import ArmTables, described
 from pgrssnn_jax.physics.arms.torques import link_torques
 from pgrssnn_jax.physics.arms.urdf import read_urdf
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete, remembered
 from pgrssnn_jax.physics.integrate import zero_order_hold
 
 PerJoint = float | Sequence[float] | np.ndarray | None
@@ -46,6 +46,7 @@ _MEANINGS = {
 }
 
 
+@remembered
 def arm(
     *,
     robot: str = "kuka_kr300",

@@ -6,8 +6,8 @@ from arm_samples import DISTURBED
 
 from pgrssnn_jax.data.robot import load_robot_real, load_robot_simulated
 from pgrssnn_jax.models.model import ModelParams, build_model
-from pgrssnn_jax.models.networks import ModelSpec
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.records.scaling import Scaling, identity
 from pgrssnn_jax.training.metrics import nrmse

@@ -6,7 +6,7 @@ from typing import Literal
 
 import pytest
 
-from pgrssnn_jax.training.settings import call_with
+from pgrssnn_jax.records.arguments import call_with
 
 
 @dataclass(frozen=True)

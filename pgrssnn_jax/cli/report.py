@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from omegaconf import DictConfig
 from rich.console import Console
 
-from pgrssnn_jax.cli.plan import plain
+from pgrssnn_jax.cli.entry import Work
+from pgrssnn_jax.cli.plan import plain_config
 from pgrssnn_jax.paper.boxes import box_figure
 from pgrssnn_jax.paper.collect import MARKS, FoundRun, collect
 from pgrssnn_jax.paper.efficiency import can_be_curves, efficiency_figure, overlay_figure
@@ -47,9 +48,9 @@ FIGURES: dict[str, tuple[Callable[[EvidenceTable, Paper], Figure], str, str]] = 
 """By the end of a file's name: how a figure is made, and what its page says of it."""
 
 
-def prepare_report(config: DictConfig) -> Callable[[threading.Event], None]:
+def prepare_report(config: DictConfig) -> Work:
     """Reads every run; what it returns writes. Raises `ValueError` for bad input, and leaves nothing."""
-    settings = plain(config)
+    settings = plain_config(config)
     if unknown := sorted(settings.keys() - _KEYS):
         raise ValueError(f"configuration: expected the keys {sorted(_KEYS)}, found {unknown[0]!r}")
     roots = run_roots(settings["runs"])
@@ -64,7 +65,8 @@ def prepare_report(config: DictConfig) -> Callable[[threading.Event], None]:
     paper = read_paper()
     runs = collect(roots, paper)
     command = shlex.join(["python", "report.py", *HydraConfig.get().overrides.task])
-    return partial(report_run, evidence_tables(runs, paper), runs, paper, out, Console(highlight=False), command)
+    do = partial(report_run, evidence_tables(runs, paper), runs, paper, out, Console(highlight=False), command)
+    return Work(out, do)
 
 
 def run_roots(given: Any) -> list[Path]:

@@ -1,0 +1,226 @@
+"""The Python API: train on a physics and a record, find what the physics lacks, simulate, save and load.
+
+    train, test = load_benchmark("cascaded_tank")
+    ensemble = fit("pg_rssnn", physics.cascaded_tanks(clamp=True), train);     ensemble.score(test)
+    found = discover(physics.cascaded_tanks(), train, test);                   found.physics
+
+No function writes a file unless it is asked to. Bad input raises `ValueError` with one sentence: what, where, what was
+expected, what was found.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import numpy as np
+from rich.console import Console
+
+from pgrssnn_jax.acceleration.devices import keep_compiled
+from pgrssnn_jax.data.benchmarks import load_benchmark
+from pgrssnn_jax.discovery.card import discovery_arrays, discovery_json
+from pgrssnn_jax.discovery.network import network_shares, plan_network
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Setup, set_up
+from pgrssnn_jax.discovery.workflow import check_free_run
+from pgrssnn_jax.discovery.workflow import discover as discover_from
+from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.effects.stored import settings_to_json, stored_physics
+from pgrssnn_jax.effects.systems import add_effect as add
+from pgrssnn_jax.models.rollout import Trajectory, rollout
+from pgrssnn_jax.models.spec import ModelSpec
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
+from pgrssnn_jax.physics.simulate import free_run
+from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.build import record_from as record
+from pgrssnn_jax.records.csv import read_csv as _read_csv
+from pgrssnn_jax.records.record import Array, Channel, Record, Start
+from pgrssnn_jax.reports.discovered import Discovered
+from pgrssnn_jax.reports.ensemble import Ensemble, Validated
+from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.training.evaluation import predict_validation, trained_members
+from pgrssnn_jax.training.loop import Progress
+from pgrssnn_jax.training.plan import Plan, plan_training
+from pgrssnn_jax.training.recipes import DEFAULT, PROOF, recipe_for
+from pgrssnn_jax.training.settings import TrainingSettings, training_settings
+from pgrssnn_jax.training.train import first_checkpoint, train_members
+
+__all__ = [
+    "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
+    "discover", "fit", "load", "load_benchmark", "read_csv", "record", "rollout", "simulate",
+]  # fmt: skip
+
+Callback = Callable[[Progress], bool | None]
+
+
+def fit(
+    model: str | ModelSpec,
+    physics: Physics,
+    train: Record,
+    *,
+    recipe: Literal["experiment", "default"] | None = None,
+    seeds: int | None = None,
+    seed: int = 0,
+    validation: Record | None = None,
+    callback: Callback | None = None,
+    quiet: bool = False,
+    **settings: Any,
+) -> Ensemble:
+    """Trains all seeds of a model on a record, in one compiled program.
+
+        L(θ) = Σ_t ((y_t - ŷ_t(θ)) / s_y)²,   ŷ a free run;   best parameters by validation error
+
+    model: a variant (`pg_rssnn`, `rssnn`, `physics_only`, ...) or a `ModelSpec`. recipe: `experiment`, the settings of
+    the benchmark's experiment, `default`, or None: those of the benchmark that the record comes from, else the defaults
+    (`training/recipes.py`); a physics from a discovery is trained on as the commands do. seeds: how many, None: the
+    recipe's own; seed: the first. validation: None takes the part that came with the data, or the tail of train.
+    callback: called after every chunk of epochs; training stops when it returns True. settings: any of
+    `training/settings.py` by name (epochs=200, learning_rate=1e-3, initial_state="estimated", ...).
+
+    Members that leave the floating-point range do not raise: they are failed, counted and named. Raises `ValueError`
+    for records that do not fit the physics and for settings that cannot be.
+    """
+    keep_compiled()
+    chosen = _training(model, physics, train, recipe, {"seed": seed, "n_seeds": seeds, **settings})
+    plan = plan_training(physics, train, chosen, validation=validation)
+    stop = threading.Event()
+
+    def on_chunk(_: Any, __: Any, now: Progress) -> None:
+        if callback is not None and callback(now):
+            stop.set()
+
+    first = first_checkpoint(plan)
+    done = train_members(plan, first, _console(quiet), stop, on_chunk)
+    return finished(plan, done.state, done.losses, done.seconds)
+
+
+def finished(
+    plan: Plan,
+    state: Any,
+    losses: Any,
+    seconds: Mapping[str, float],
+    labels: Mapping[str, str | None] | None = None,
+) -> Ensemble:
+    """The result of a training run; labels: names of the configuration's files, where there were any."""
+    return Ensemble(
+        plan.settings,
+        trained_members(plan, state),
+        losses,
+        plan.train.info,
+        n_train=plan.train.u.shape[2],
+        seconds=seconds,
+        validated=Validated(plan.validation, predict_validation(plan, state)),
+        labels=labels,
+    )
+
+
+def discover(
+    physics: Physics,
+    train: Record,
+    test: Record,
+    *,
+    effects: Sequence[Effect] = (),
+    without: Sequence[str] = (),
+    realisation: int = 0,
+    validation: Record | None = None,
+    quiet: bool = False,
+    **settings: Any,
+) -> Discovered:
+    """Finds where a physics and a record disagree, names the missing effect, adds it, and shows the gap on the test
+    record, which nothing before has seen.
+
+    effects: of one's own, beside those of the catalogue; without: names that the catalogue is to do without;
+    realisation: which dataset of the records. The part that validates training belongs to the estimation record here.
+    settings: any of `discovery/settings.py` by name. Raises `ValueError` for bad input, before any work.
+    """
+    keep_compiled()
+    console = _console(quiet)
+    chosen = call_with(DiscoverySettings, {**settings, "without": list(without)}, "discovery")
+    training = _training("pg_rssnn", physics, train, None, {}, before=PROOF)
+
+    def say(line: str) -> None:
+        console.print(line, soft_wrap=True, highlight=False)
+
+    setup = set_up(
+        physics, train, test, chosen, training,
+        effects=effects, validation=validation, realisation=realisation, notify=say,
+    )  # fmt: skip
+    check_setup(setup)
+    return discovered(setup, say, threading.Event(), command="pg.discover")
+
+
+def check_setup(setup: Setup) -> None:
+    """Raises `ValueError` for what could turn out to be bad input during a discovery."""
+    check_free_run(setup)
+    if setup.settings.network_epochs:
+        plan_network(setup, None)
+
+
+def discovered(
+    setup: Setup, notify: Callable[[str], None], stop: threading.Event, *, command: str, seconds: float = 0.0
+) -> Discovered:
+    """Runs a discovery that has been set up; stop: looked at between epochs of the proof; seconds: spent before."""
+    found = discover_from(setup, notify)
+    details = discovery_json(found, setup, command=command)
+    if setup.settings.network_epochs and found.found.final.estimate.active:
+        started = time.perf_counter()
+        details["network"] = network_shares(setup, details, notify, stop)
+        details["seconds"]["network"] = time.perf_counter() - started
+    details["seconds"] = {"load": seconds, **details["seconds"]}
+    details["seconds"]["total"] = sum(details["seconds"].values())
+    origins = {name: f"{r.info.source}: {r.info.origin}" for name, r in (("train", setup.train), ("test", setup.test))}
+    physics = stored_physics(setup.nominal, details, where="discovery", extra=setup.effects)
+    settings = {"physics": settings_to_json(setup.nominal), "discovery": dict(vars(setup.settings))}
+    return Discovered(details, discovery_arrays(found, setup), physics, origins, settings)
+
+
+def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") -> Record:
+    """A record from a CSV file whose columns are named after the inputs and outputs of the physics, in its units.
+
+    start: what is known of the initial state. Raises `ValueError` with file, line and column for a file that does not
+    fit."""
+    inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (physics.inputs, physics.outputs))
+    return _read_csv(path, inputs, outputs, physics.dt, start=start)
+
+
+def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
+    """Free run of a physics alone in double precision: x_t = step(p, x_{t-1}, u_t), y_t = measure(p, x_t, u_t).
+
+    u `[time, input]` or `[sequence, time, input]`, x0 `[state]` or `[sequence, state]`. A state that leaves the
+    floating-point range does not raise: `first_bad` says where. Raises `ValueError` for other shapes."""
+    u, n_u, n_x = np.asarray(u, np.float64), len(physics.inputs), len(physics.states)
+    if u.ndim not in (2, 3) or u.shape[-1] != n_u:
+        raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {u.shape}")
+    sequences = u if u.ndim == 3 else u[None]
+    if np.shape(x0) not in ((n_x,), (len(sequences), n_x)):
+        raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({len(sequences)}, {n_x}), found {np.shape(x0)}")
+    with jax.enable_x64(True):
+        start = np.broadcast_to(np.asarray(x0, np.float64), (len(sequences), n_x))
+        y, x = (np.asarray(a) for a in free_run(physics, sequences, start))
+    finite = np.isfinite(x).all(-1) & np.isfinite(y).all(-1)
+    bad = np.where(finite.all(1), u.shape[-2], np.argmin(finite, axis=1))
+    return Trajectory(y, x, bad) if u.ndim == 3 else Trajectory(y[0], x[0], bad[0])
+
+
+def _training(
+    model: str | ModelSpec,
+    physics: Physics,
+    train: Record,
+    recipe: str | None,
+    given: Mapping[str, Any],
+    before: Mapping[str, Any] | None = None,
+) -> TrainingSettings:
+    """Defaults, `before`, the recipe's settings and those that were given (None: not), in this order."""
+    if recipe not in (None, "experiment", "default"):
+        raise ValueError(f"recipe: expected 'experiment', 'default' or None, found {recipe!r}")
+    if recipe == "experiment" and not train.info.benchmark:
+        raise ValueError("recipe: expected None or 'default' for data that is no benchmark, found 'experiment'")
+    own = DEFAULT if recipe == "default" else recipe_for(train.info.benchmark)
+    named = {name: value for name, value in given.items() if not (name == "n_seeds" and value is None)}
+    return training_settings(model, before or {}, own.settings(discovered=physics.discovered), named)
+
+
+def _console(quiet: bool) -> Console:
+    return Console(quiet=quiet, highlight=False)

@@ -1,0 +1,128 @@
+"""A physics as plain data, and back: settings of its builder, its numbers, its effects with theirs.
+
+The same keys stand in `discovery.json` (what discovery found) and in the `physics.json` of a run folder (what was
+trained on). Reading them executes nothing: the physics is given, the file only sets its numbers.
+"""
+
+import hashlib
+import inspect
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pgrssnn_jax.effects.base import Effect, effects_of, own_of
+from pgrssnn_jax.effects.systems import add_named
+from pgrssnn_jax.physics.base import Physics, Signal
+
+OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is
+_KEYS = ("system", "physics", "numbers", "initial_state")
+
+
+def physics_to_json(physics: Physics) -> dict[str, Any]:
+    """Everything that `stored_physics` needs beside the physics without its effects, and what tells another one."""
+    target = physics.origin.target if physics.origin else ""
+    return {
+        "system": physics.name,
+        "physics": {"_target_": target or None, **settings_to_json(physics)},
+        "numbers": {"parameters": plain(own_of(physics.params)), "effects": plain(effects_of(physics.params))},
+        "initial_state": {s.name: s.start for s in physics.states if s.start is not None},
+        "signals": {kind: _named(getattr(physics, kind)) for kind in ("states", "inputs", "outputs")},
+        "dt": physics.dt,
+        "output_timing": physics.output_timing,
+        "discovered": physics.discovered,
+        "source_sha256": source_digest(physics),
+    }
+
+
+def settings_to_json(physics: Physics) -> dict[str, Any]:
+    """The settings of the physics' builder as plain data; functions among them are left out."""
+    return {name: plain(value) for name, value in physics.settings.items() if not callable(value)}
+
+
+def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, extra: Sequence[Effect] = ()) -> Physics:
+    """The physics with the settings, numbers, effects and initial states of a file.
+
+    The file's settings (limits, integrator) take the place of the physics' own, because the numbers were fitted with
+    them. extra: effects that are in no catalogue; where: the file, for messages. Raises `ValueError` when the file is
+    of another physics or names an effect that the physics cannot take.
+    """
+    check_keys(stored, where)
+    if stored["system"] != physics.name:
+        raise ValueError(f"{where}: expected physics {physics.name!r}, found {stored['system']!r}")
+    wanted = {
+        name: value
+        for name, value in stored["physics"].items()
+        if name in physics.settings and name not in OF_TRAINING and value != plain(physics.settings[name])
+    }
+    base = physics.variant(**{name: value for name, value in wanted.items() if not callable(physics.settings[name])})
+    parameters = stored["numbers"]["parameters"]
+    if sorted(parameters) != sorted(base.params):
+        raise ValueError(f"{where}: expected parameters {sorted(base.params)}, found {sorted(parameters)}")
+    own = {name: _shaped(like, parameters[name], where, name) for name, like in base.params.items()}
+    base = base._replace(params=own)
+    found = add_named(base, stored["numbers"]["effects"], extra)
+    start = stored["initial_state"] or {}
+    states = tuple(s._replace(start=start[s.name]) if s.name in start else s for s in found.states)
+    return found._replace(states=states, discovered=bool(stored.get("discovered", "verdict" in stored)))
+
+
+def read_stored(path: Path, where: str) -> dict[str, Any]:
+    """A `discovery.json` or `physics.json`; where: the setting that names it. Raises `ValueError` when it is none."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as problem:
+        raise ValueError(f"{where}: expected a discovery.json, found {str(path)!r} ({problem})") from problem
+    check_keys(found, f"{where}: {path}")
+    return found
+
+
+def check_keys(found: Any, where: str) -> None:
+    """Raises `ValueError` when plain data cannot be a stored physics."""
+    missing = [key for key in _KEYS if not isinstance(found, dict) or key not in found]
+    if missing:
+        raise ValueError(f"{where}: expected the key {missing[0]!r} of a stored physics, found none")
+    for key, inner in (("physics", ()), ("numbers", ("parameters", "effects"))):
+        if not isinstance(found[key], dict) or any(not isinstance(found[key].get(name), dict) for name in inner):
+            raise ValueError(f"{where}: {key}: expected a group of named values, found {found[key]!r}")
+
+
+def source_digest(physics: Physics) -> str | None:
+    """The first 12 hexadecimal digits of the SHA-256 of the builder's source, or of the step's; None where there is no
+    source."""
+    function = inspect.unwrap(physics.origin.build if physics.origin and physics.origin.target else physics.step)
+    try:
+        return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()[:12]
+    except (OSError, TypeError):
+        return None
+
+
+def plain(tree: Any) -> Any:
+    """Numbers, lists, names and None in place of arrays, tuples and paths; infinite limits as None."""
+    if isinstance(tree, Mapping):
+        return {str(key): plain(value) for key, value in tree.items()}
+    if isinstance(tree, np.ndarray | jax.Array | np.generic):
+        return plain(np.asarray(tree).tolist())
+    if isinstance(tree, list | tuple):
+        return [plain(value) for value in tree]
+    if isinstance(tree, float):
+        return tree if math.isfinite(tree) else None
+    return str(tree) if isinstance(tree, Path) else tree
+
+
+def _named(signals: Sequence[Signal]) -> list[list[str]]:
+    return [[signal.name, signal.unit] for signal in signals]
+
+
+def _shaped(like: Any, value: Any, where: str, name: str) -> np.ndarray:
+    try:
+        found = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        found = np.empty(0)
+    if found.shape != np.shape(like):
+        raise ValueError(f"{where}: {name}: expected numbers of shape {np.shape(like)}, found {value!r}")
+    return found

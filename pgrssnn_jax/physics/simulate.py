@@ -1,0 +1,39 @@
+"""Free run of a physics alone: x_t = step(p, x_{t-1}, u_t) from x_0, nothing measured fed in."""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from pgrssnn_jax.physics.base import Physics, Step
+from pgrssnn_jax.records.record import Array
+
+
+@partial(jax.jit, static_argnums=0)  # compiled once for all records of one physics
+def simulated_states(
+    step: Step, params: Any, x0: Float[jax.Array, "seq x"], u: Float[jax.Array, "seq time u"]
+) -> Float[jax.Array, "seq time x"]:
+    """The states after each u_t acted, in the precision of u."""
+    params = jax.tree.map(lambda p: jnp.asarray(p, u.dtype), params)
+
+    def simulate(u: jax.Array, x0: jax.Array) -> jax.Array:
+        def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, jax.Array]:
+            x = step(params, x, u_t)
+            return x, x
+
+        return jax.lax.scan(body, x0.astype(u.dtype), u)[1]
+
+    return jax.vmap(simulate)(u, x0)
+
+
+def free_run(
+    physics: Physics, u: Float[Array, "seq time u"], x0: Float[Array, "seq x"]
+) -> tuple[Float[jax.Array, "seq time y"], Float[jax.Array, "seq time x"]]:
+    """Outputs and states of a physics with its own numbers."""
+    u, x0 = jnp.asarray(u), jnp.asarray(x0)
+    x = simulated_states(physics.step, physics.params, x0, u)
+    read = x if physics.output_timing == "after_step" else jnp.concatenate([x0[:, None], x[:, :-1]], 1)
+    params = jax.tree.map(lambda p: jnp.asarray(p, u.dtype), physics.params)
+    return jax.vmap(jax.vmap(physics.measure, (None, 0, 0)), (None, 0, 0))(params, read, u), x

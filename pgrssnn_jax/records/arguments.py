@@ -1,0 +1,74 @@
+"""Calling a function with a group of the composed configuration, with one sentence for what does not fit."""
+
+import inspect
+import types
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+
+
+def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, **more: Any) -> T:
+    """`function(**group, **more)` with every value of the group checked against the parameter's annotation.
+
+    where: the group's name in the configuration, for messages, empty: the top level. Arguments of `more` that the
+    function does not take are left out. Raises `ValueError` for an unknown key, for a missing one, and for a value of
+    another type or outside its choices; the checks of `function` itself apply too.
+    """
+    prefix = f"{where}." if where else ""
+    named = getattr(function, "func", function)  # functools.partial
+    hints = get_type_hints(named.__init__ if inspect.isclass(named) else named)
+    parameters = inspect.signature(function).parameters
+    known = [name for name in parameters if name not in more]
+    anything = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    for name in group:
+        if name not in known and not anything:
+            raise ValueError(f"{where or 'configuration'}: expected the keys {known}, found {name!r}")
+    arguments = {name: _checked(value, hints.get(name, Any), f"{prefix}{name}") for name, value in group.items()}
+    arguments |= {name: value for name, value in more.items() if name in parameters}
+    for name, parameter in parameters.items():
+        optional = parameter.default is not parameter.empty or parameter.kind in (
+            parameter.VAR_KEYWORD,
+            parameter.VAR_POSITIONAL,
+        )
+        if not optional and name not in arguments:
+            raise ValueError(f"{prefix}{name}: expected a value, found none")
+    return function(**arguments)
+
+
+def _checked(value: Any, hint: Any, where: str) -> Any:
+    options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    if any(_accepts(option, value) for option in options):
+        return float(value) if float in options and isinstance(value, int) and int not in options else value
+    raise ValueError(f"{where}: expected {_named(options)}, found {value!r}")
+
+
+def _accepts(option: Any, value: Any) -> bool:
+    if option is Any or isinstance(option, TypeVar):
+        return True
+    if get_origin(option) is Literal:
+        return value in get_args(option)
+    kind = get_origin(option) or option
+    if isinstance(value, bool) and kind in (int, float):
+        return False
+    accepted = {float: (int, float), Sequence: (list, tuple), Path: (str, Path)}.get(kind, kind)
+    return isinstance(value, accepted)
+
+
+def _named(options: tuple[Any, ...]) -> str:
+    words: list[str] = []
+    for option in options:
+        if get_origin(option) is Literal:
+            words += [str(choice) for choice in get_args(option)]
+        else:
+            origin = get_origin(option) or option
+            words.append({type(None): "null", Sequence: "a list"}.get(origin, getattr(origin, "__name__", str(origin))))
+    return " | ".join(words)
+
+
+def check_count(name: str, value: int, least: int, most: int, what: str) -> None:
+    """Raises `ValueError` unless least ≤ value ≤ most. name: the key in the configuration; what: what is counted."""
+    if not least <= value <= most:
+        expected = f"between {least} and {most} {what}" if most >= least else f"at least {least} {what} to choose from"
+        raise ValueError(f"{name}: expected {expected}, found {value}")

@@ -1,0 +1,73 @@
+"""A record from arrays in memory."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Start, record
+
+_STARTS = ("unknown", "rest", "shared")
+
+
+def record_from(
+    u: Array | Sequence[Array],
+    y: Array | Sequence[Array],
+    *,
+    dt: float,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    mask: Array | Sequence[Array] | None = None,
+    start: Start = "unknown",
+) -> Record:
+    """A record from inputs u and outputs y, sampled every `dt` seconds.
+
+    u `[time, input]` or `[sequence, time, input]`, or a list of sequences `[time, input]` of any length; y likewise.
+    inputs, outputs: name and unit of every channel, in the order of the columns. NaN in y, or False in mask (the shape
+    of y), stands for a sample that was not measured. start: what is known of the initial state: `unknown`, `rest` (zero),
+    or `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for a value of u that
+    is not finite, and for a dt that is not positive.
+    """
+    if not dt > 0:
+        raise ValueError(f"record: dt: expected a positive sample time in seconds, found {dt}")
+    if start not in _STARTS:
+        raise ValueError(f"record: start: expected one of {list(_STARTS)}, found {start!r}")
+    for name, named in (("inputs", inputs), ("outputs", outputs)):
+        if not isinstance(named, Mapping):
+            raise ValueError(f"record: {name}: expected names with units, {{'pump_voltage': 'V'}} say, found {named!r}")
+    us, ys = _sequences("u", u, len(inputs)), _sequences("y", y, len(outputs))
+    masks = [np.isfinite(one) for one in ys] if mask is None else _sequences("mask", mask, len(outputs))
+    lengths = [[len(one) for one in part] for part in (us, ys, masks)]
+    if not lengths[0] == lengths[1] == lengths[2]:
+        raise ValueError(f"record: u and y: expected sequences of equal lengths, found {lengths[0]} and {lengths[1]}")
+    longest = max(lengths[0])
+    measured = [m.astype(bool) & np.isfinite(one) for m, one in zip(masks, ys, strict=True)]
+    info = RecordInfo(
+        *(tuple(Channel(str(name), unit) for name, unit in named.items()) for named in (inputs, outputs)),
+        float(dt), "record", "arrays in memory", padded=min(lengths[0]) < longest, start=start,
+    )  # fmt: skip
+    u, y = (np.stack([_padded(one, longest) for one in part]) for part in (us, ys))
+    return record(u, y, info, np.stack([_padded(one, longest, False) for one in measured]))
+
+
+def _sequences(name: str, signal: Array | Sequence[Array], channels: int) -> list[np.ndarray]:
+    """Sequences `[time, channel]`; a single channel may come without its axis."""
+    parts = [np.asarray(one) for one in signal] if isinstance(signal, list | tuple) else np.asarray(signal)
+    if isinstance(parts, np.ndarray):
+        parts = [parts] if parts.ndim < 3 else list(parts)
+    elif parts and parts[0].ndim == 0:  # a list of numbers
+        parts = [np.asarray(parts)]
+    parts = [one[:, None] if one.ndim == 1 and channels == 1 else one for one in parts]
+    for one in parts:
+        if one.ndim != 2 or one.shape[1] != channels or not len(one):
+            raise ValueError(f"record: {name}: expected [time, {channels}] or sequences of it, found shape {one.shape}")
+    if not parts:
+        raise ValueError(f"record: {name}: expected at least one sequence, found none")
+    return [one if one.dtype == bool else one.astype(np.float64, copy=False) for one in parts]
+
+
+def _padded(signal: np.ndarray, time: int, fill: bool | None = None) -> np.ndarray:
+    """Up to `time` samples: the last one repeated, or `fill`."""
+    rest = [(0, time - len(signal)), (0, 0)]
+    if fill is None:
+        return np.pad(signal, rest, mode="edge")
+    return np.pad(signal, rest, constant_values=fill)

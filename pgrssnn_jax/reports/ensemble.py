@@ -1,0 +1,199 @@
+"""Trained members as a result that simulates, scores, plots, saves and shows itself."""
+
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from pgrssnn_jax.models.model import Model, ModelParams
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.record import Array, Record, RecordInfo
+from pgrssnn_jax.reports.figures import prediction_figure
+from pgrssnn_jax.reports.prediction import compared
+from pgrssnn_jax.reports.run_files import save_ensemble
+from pgrssnn_jax.training import evaluation
+from pgrssnn_jax.training.evaluation import Trained
+from pgrssnn_jax.training.loop import Losses
+from pgrssnn_jax.training.members import select
+from pgrssnn_jax.training.plan import member_tests
+from pgrssnn_jax.training.settings import TrainingSettings
+
+
+class Validated(NamedTuple):
+    """Measured validation records of the members `[member, seq, time, y]`, and what was predicted on them."""
+
+    record: Record
+    predicted: np.ndarray
+
+
+class Evaluated(NamedTuple):
+    """What `metrics.json` and `predictions.npz` hold."""
+
+    metrics: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+
+class Ensemble:
+    """Members (seeds × datasets) of one model after training. `trained` holds their parameters, `losses` their history.
+
+    Everything that it takes and gives is in measured units.
+    """
+
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        trained: Trained,
+        losses: Losses,
+        info: RecordInfo,
+        *,
+        n_train: int,
+        seconds: Mapping[str, float],
+        validated: Validated | None = None,
+        labels: Mapping[str, str | None] | None = None,
+    ) -> None:
+        """info: of the training record; n_train: samples per training sequence; validated: None after loading;
+        labels: names of the configuration's files."""
+        self.settings, self.trained, self.losses, self.info = settings, trained, losses, info
+        self.n_train, self.seconds, self.validated, self.labels = n_train, dict(seconds), validated, labels or {}
+        self._evaluated: Evaluated | None = None
+
+    @property
+    def physics(self) -> Physics:
+        return self.trained.objective.model.physics
+
+    @property
+    def model(self) -> Model:
+        return self.trained.objective.model
+
+    def params(self, member: int) -> ModelParams:
+        """The numbers of one member, for `pg.rollout`."""
+        best, scaling = select((self.trained.state.best, self.trained.scaling), member)
+        return self.trained.objective.assemble(best, scaling)
+
+    def simulate(self, u: Array, x0: Array | None = None) -> Float[np.ndarray, "member *seq time y"]:
+        """Free run of every member from inputs u `[time, input]` or `[sequence, time, input]`; NaN for a failed one.
+
+        x0 `[state]` or `[sequence, state]` in the physics' units; None: as in training, where that is a known state.
+        Raises `ValueError` for other shapes, for inputs that are not finite, and where training knew no start.
+        """
+        u, n_u, n_x = np.asarray(u), len(self.physics.inputs), self.model.n_x
+        if u.ndim not in (2, 3) or u.shape[-1] != n_u:
+            raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {u.shape}")
+        if not np.isfinite(u).all():
+            raise ValueError("simulate: u: expected finite numbers, found NaN or infinity")
+        sequences = u if u.ndim == 3 else u[None]
+        shape = (len(self.trained.members), len(sequences), n_x)
+        if x0 is None:
+            start = np.broadcast_to(self._known_start()[:, None], shape)
+        else:
+            if np.shape(x0) not in ((n_x,), (len(sequences), n_x)):
+                expected = f"({n_x},) or ({len(sequences)}, {n_x})"
+                raise ValueError(f"simulate: x0: expected shape {expected}, found {np.shape(x0)}")
+            start = np.broadcast_to(np.asarray(x0), shape)
+        y = evaluation.predict_from(self.trained, sequences, start).y.copy()
+        y[[i for i, row in enumerate(self.trained.state.outcome) if evaluation.has_failed(int(row))]] = np.nan
+        return y if u.ndim == 3 else y[:, 0]
+
+    def _known_start(self) -> Float[np.ndarray, "member x"]:
+        initial, count = self.trained.objective.initial, len(self.trained.members)
+        if initial.kind == "zero":
+            return np.zeros((count, self.model.n_x))
+        if initial.kind == "scaled_zero":
+            return np.broadcast_to(np.asarray(self.trained.scaling.x.offset), (count, self.model.n_x))
+        if initial.shared and np.isfinite(self.trained.start).all():
+            return self.trained.start
+        raise ValueError(
+            f"simulate: x0: expected an initial state of {self.model.n_x} numbers, because training found one for each "
+            f"record (initial_state={initial.kind}), found none"
+        )
+
+    def evaluate(self, test: Record) -> Evaluated:
+        """The figures of `metrics.json` and the arrays of `predictions.npz` on a test record."""
+        trained, wanted = self.trained, self.settings.run.report_n_init
+        tests = member_tests(trained.objective, trained.members, trained.units, wanted, test)
+        predictions = evaluation.predict(trained, tests.record)
+        rows = evaluation.member_rows(trained, tests, predictions, *(self.validated or ()))
+        mean, deviation = evaluation.ensemble(rows, tests.measured, predictions)
+        info, measured = test.info, tests.measured
+        metrics = {
+            "schema": 1,
+            "system": self.physics.name,
+            "physics": self.labels.get("physics") or self.physics.name,
+            "experiment": self.labels.get("experiment"),
+            "budget": self.labels.get("budget"),
+            "model": self.settings.name,
+            "data": self.labels.get("data") or info.benchmark or "record",
+            "source": info.source,
+            "origin": info.origin,
+            "n_init": tests.n_inits[0],
+            "n_train": self.n_train,
+            "dt": self.physics.dt,
+            "outputs": [channel._asdict() for channel in measured.info.outputs],
+            "members": rows,
+            "summary": evaluation.summary(rows, measured, mean, tests.n_inits),
+            "seconds": {**self.seconds, "total": sum(self.seconds.values())},
+        }
+        arrays = {
+            "y": measured.y[0],
+            "u": measured.u[0],
+            "mask": measured.mask[0],
+            "y_hat": predictions.y.astype(np.float32),
+            "ensemble_mean": mean,
+            "ensemble_std": deviation,
+            "seed": np.array([member.seed for member in trained.members]),
+            "dataset": np.array([member.dataset for member in trained.members]),
+            "x0": predictions.x0,
+            "x0_train": trained.start,
+        }
+        if self.physics.skeleton is not None:
+            seen = np.where(measured.mask[0], measured.y[0], np.nan)
+            for name, y in (("measured", seen), ("predicted", compared(arrays, metrics).mean)):
+                arrays[f"skeleton_{name}"] = self.physics.skeleton(y).astype(np.float32)
+        self._evaluated = Evaluated(metrics, arrays)
+        return self._evaluated
+
+    def score(self, test: Record) -> pd.DataFrame:
+        """A row per member: seed, dataset, status, best epoch, and RMSE, NRMSE, fit (%) and correlation on the test
+        record, per output where there are several, and their mean over outputs."""
+        metrics = self.evaluate(test).metrics
+        names = [output["name"] for output in metrics["outputs"]]
+        rows = []
+        for member in metrics["members"]:
+            row = {key: member[key] for key in ("seed", "dataset", "status", "reason", "best_epoch")}
+            for figure in ("rmse", "nrmse", "fit_percent", "cc"):
+                values = member["test"][figure] if member["test"] else [np.nan] * len(names)
+                row[figure] = float(np.mean(values))
+                if len(names) > 1:
+                    row |= {f"{figure}_{name}": value for name, value in zip(names, values, strict=True)}
+            rows.append(row)
+        return pd.DataFrame(rows)
+
+    def plot(self, test: Record) -> Figure:
+        """Measured and predicted outputs of the test record, with the residual below."""
+        found = self.evaluate(test)
+        return prediction_figure(found.arrays, found.metrics)
+
+    def save(self, folder: str | Path, test: Record | None = None) -> None:
+        """Writes a run folder (`docs/runs.md`): parameters, physics, settings, history and a page; with figures on the
+        test record that is given or was scored last. `pg.load` reads it. Raises `ValueError` where it cannot write."""
+        found = self._evaluated if test is None else self.evaluate(test)
+        save_ensemble(Path(folder), self, found)
+
+    def __repr__(self) -> str:
+        failed = sum(evaluation.has_failed(int(outcome)) for outcome in self.trained.state.outcome)
+        count, what = len(self.trained.members), f"{self.settings.name} on {self.physics.name}"
+        return f"{what}: {count} members, {count - failed} finished, {failed} failed"
+
+    def _repr_html_(self) -> str:
+        table = "" if self._evaluated is None else _table(self._evaluated.metrics)
+        return f"<b>{escape(repr(self))}</b>{table}"
+
+
+def _table(metrics: Mapping[str, Any]) -> str:
+    rows = [{"seed": m["seed"], "status": m["status"], **(m["test"] or {})} for m in metrics["members"]]
+    return pd.DataFrame(rows).to_html(index=False, float_format="{:.4g}".format)

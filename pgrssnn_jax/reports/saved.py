@@ -1,0 +1,154 @@
+"""A run folder read back: the ensemble that it holds, ready to simulate and to be scored, without the training data.
+
+Nothing that came with a folder is executed: its physics is built by the package, or given again by its owner.
+"""
+
+import importlib
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.effects.stored import check_keys, read_stored, source_digest, stored_physics
+from pgrssnn_jax.physics.base import Physics, check_physics
+from pgrssnn_jax.physics.library import library_builder
+from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.record import Channel, RecordInfo, record
+from pgrssnn_jax.records.scaling import Scaling, Units, identity
+from pgrssnn_jax.reports.ensemble import Ensemble
+from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
+from pgrssnn_jax.training.evaluation import Trained
+from pgrssnn_jax.training.loop import no_losses
+from pgrssnn_jax.training.members import Member
+from pgrssnn_jax.training.objective import MemberData
+from pgrssnn_jax.training.optimise import Fit
+from pgrssnn_jax.training.plan import member_mapping, plan_fit
+from pgrssnn_jax.training.run_folder import RunFolder, read_config
+from pgrssnn_jax.training.settings import settings_from_config
+
+
+def load(
+    folder: str | Path,
+    physics: Physics | None = None,
+    *,
+    trust: Sequence[str] = (),
+    effects: Sequence[Effect] = (),
+    partial: bool = False,
+) -> Ensemble:
+    """The trained members of a run folder; needs neither its data nor anything outside it.
+
+    physics: an own physics, as it was given to training; its names, units and shapes are checked against the folder,
+    and a changed source warns. trust: modules from which the folder's physics may be imported instead. effects: of
+    one's own. partial: also a run that has not finished. Raises `ValueError` for a folder that holds no finished run,
+    for a physics that is missing or another one, and for damaged files.
+    """
+    run = RunFolder(Path(folder))
+    config = read_config(run.path)
+    if not (run.finished or partial):
+        raise ValueError(f"{folder}: expected a finished run with the file DONE, found none (partial=True reads it)")
+    stored = stored_in(run, config)
+    chosen = restored_physics(stored, run.path, physics=physics, trust=trust, effects=effects)
+    settings = settings_from_config(config)
+    fit = plan_fit(chosen, settings, shared=bool(config["data"].get("shared_initial_state")))
+    checkpoints = CheckpointFolder(run.checkpoint, create=False)
+    found = checkpoints.restore(_structure(fit), any_shape=True)
+    checkpoints.close()
+    metrics = _json(run.path / "metrics.json")
+    arrays = run.read_arrays("predictions.npz")
+    count = len(found.state.epoch)
+    rows = metrics.get("members") or [{"seed": settings.run.seed + i, "dataset": 0} for i in range(count)]
+    members = [Member(row["seed"], row["dataset"]) for row in rows]
+    start = arrays.get("x0_train", arrays["x0"][:, 0] if "x0" in arrays and fit.objective.initial.shared else None)
+    if start is None:
+        start = np.full((count, len(chosen.states)), np.nan)
+    mapping = member_mapping(settings.members, count, 1, accelerate=settings.run.accelerate)
+    trained = Trained(fit.objective, mapping, members, found.state, found.scaling, found.units, start)
+    channels = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
+    info = RecordInfo(*channels, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
+    return Ensemble(
+        settings, trained, found.losses, info, n_train=metrics.get("n_train", 0), seconds=metrics.get("seconds", {})
+    )
+
+
+def stored_in(run: RunFolder, config: Mapping[str, Any]) -> dict[str, Any]:
+    """The folder's `physics.json`; for a run of before there was one, what its configuration says."""
+    path = run.path / "physics.json"
+    if path.is_file():
+        found = _json(path)
+        check_keys(found, str(path))
+        return found
+    settings = {name: value for name, value in config["physics"].items() if name != "effects"}
+    effects = config["physics"].get("effects")
+    if effects is not None:
+        warnings.warn(
+            f"{run.path}: this run of an earlier version kept no copy of {effects}: it is read now", stacklevel=4
+        )
+        return {**read_stored(Path(effects), "physics.effects"), "discovered": True}
+    return {"system": None, "physics": settings, "numbers": None, "initial_state": {}}
+
+
+def restored_physics(
+    stored: Mapping[str, Any],
+    folder: Path,
+    *,
+    physics: Physics | None,
+    trust: Sequence[str] = (),
+    effects: Sequence[Effect] = (),
+) -> Physics:
+    """The physics of a run folder, from the package's builders, or from one that is given or trusted."""
+    if physics is None:
+        target = str(stored["physics"].get("_target_") or "")
+        build = library_builder(target) or _trusted(target, trust)
+        if build is None:
+            raise ValueError(
+                f"{folder}: physics: expected the physics of one's own that this run was trained on "
+                f"(load(folder, physics=...), or trust=[its module]), found {target or 'none'!r} in the folder"
+            )
+        settings = {name: value for name, value in stored["physics"].items() if name not in ("_target_", "effects")}
+        physics = call_with(build, settings, f"{folder}: physics")
+        check_physics(physics, target)
+    elif source_digest(physics) != stored.get("source_sha256", source_digest(physics)):
+        warnings.warn(f"{folder}: the source of physics {physics.name!r} has changed since the run", stacklevel=3)
+    _check_signals(physics, stored, folder)
+    return physics if stored["numbers"] is None else stored_physics(physics, stored, where=str(folder), extra=effects)
+
+
+def _trusted(target: str, trust: Sequence[str]) -> Callable[..., Any] | None:
+    module, _, name = target.rpartition(".")
+    return getattr(importlib.import_module(module), name, None) if module in trust else None
+
+
+def _check_signals(physics: Physics, stored: Mapping[str, Any], folder: Path) -> None:
+    """An effect with memory has added states; those of the physics itself come first."""
+    for kind, expected in (stored.get("signals") or {}).items():
+        found = [[s.name, s.unit] for s in getattr(physics, kind)]
+        if found != expected[: len(found)] or (kind != "states" and len(found) != len(expected)):
+            raise ValueError(f"{folder}: physics: {kind}: expected {expected}, found {found}")
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    except ValueError as problem:
+        raise ValueError(f"{path}: expected a JSON file, found {problem}") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"{path}: expected named values, found {type(found).__name__}")
+    return found
+
+
+def _structure(fit: Fit) -> Checkpoint:
+    """The shape of this fit's checkpoints, found by abstract evaluation on a record of a few zeros."""
+    model = fit.objective.model
+    n_u, n_y = len(model.physics.inputs), len(model.physics.outputs)
+    time = fit.objective.initial.n_init + 2
+    info = RecordInfo((Channel(""),) * n_u, (Channel(""),) * n_y, model.physics.dt, "simulated")
+    zeros = record(np.zeros((time, n_u)), np.zeros((time, n_y)), info)
+    scaling = Scaling(identity(n_u), identity(model.n_x), identity(n_y))
+    data = MemberData(zeros, zeros, scaling, np.zeros((), np.int32))
+    state = jax.eval_shape(fit.begin, jax.random.key(0), data)
+    return Checkpoint(state, scaling, Units(scaling.u, scaling.y), no_losses(1))

@@ -1,0 +1,207 @@
+"""From a physics, its records and the settings to everything that training needs. All bad input is found here, before
+a byte is written: every function raises `ValueError` with one sentence."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from pgrssnn_jax.models.initial_state import InitialState
+from pgrssnn_jax.models.model import build_model
+from pgrssnn_jax.models.scaling import model_scaling
+from pgrssnn_jax.physics.base import Physics, Signal
+from pgrssnn_jax.records.matching import matched
+from pgrssnn_jax.records.record import Record, cast, take
+from pgrssnn_jax.records.scaling import Scaling, Units, in_units, measured_units, standard_units
+from pgrssnn_jax.records.splits import KFold, by_dataset, cut_windows, estimation_parts, kfold_masks
+from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, map_members
+from pgrssnn_jax.training.objective import MemberData, Objective, build_objective
+from pgrssnn_jax.training.optimise import Fit
+from pgrssnn_jax.training.settings import MemberSettings, TrainingSettings
+
+_LARGEST = 1e18  # whose square is still a float32
+
+
+class Plan(NamedTuple):
+    """A training run before its first epoch.
+
+    train: as measured, `[dataset, seq, time, channel]`; validation: as measured, per member; data: per member, in the
+    units that the model works in; units: per member, from these to the measured ones.
+    """
+
+    settings: TrainingSettings
+    fit: Fit
+    mapping: MemberMapping
+    members: list[Member]
+    train: Record
+    validation: Record
+    data: MemberData
+    units: Units
+
+    @property
+    def physics(self) -> Physics:
+        return self.fit.objective.model.physics
+
+
+class MemberTests(NamedTuple):
+    """The test record of every member: as measured, and in the units that the model works in; n_inits: samples left out
+    at its start, the first of them in the main figures."""
+
+    measured: Record
+    record: Record
+    n_inits: list[int]
+
+
+def plan_training(
+    physics: Physics, train: Record, settings: TrainingSettings, *, validation: Record | None = None
+) -> Plan:
+    """train: `[seq, time, channel]`, or with a leading axis of datasets; validation: None takes the part that came with
+    the data, or the tail of train."""
+    train = matched(train, physics.inputs, physics.outputs, physics.dt, where="data: train")
+    if validation is not None:
+        validation = matched(validation, physics.inputs, physics.outputs, physics.dt, where="data: validation")
+    fitted, aside = estimation_parts(train, validation)
+    if settings.data.window is not None:
+        fitted = cut_windows(fitted, settings.data.window)
+    fit = plan_fit(physics, settings, shared=train.info.start == "shared")
+    model, initial = fit.objective.model, fit.objective.initial
+    for name, record in (("train", fitted), ("validation", aside)):
+        check_record(name, record, initial, physics)
+    rates_like_outputs = settings.data.published_scaling and _has_rates(physics)
+    standardised = settings.data.published_scaling and not rates_like_outputs
+    units = (standard_units if standardised else measured_units)(fitted)
+    own, other = ((in_units(r, units) if standardised else r) for r in (fitted, aside))
+    members = _members(settings, len(fitted.u), seeds_differ=model.graph is not None)
+    datasets = np.array([member.dataset for member in members])
+    scalings = [model_scaling(model, take(own, i), rates_like_outputs=rates_like_outputs) for i in range(len(fitted.u))]
+    _, measured = _per_member(fitted, aside, members, settings)
+    data = _member_data(scalings, *_per_member(own, other, members, settings), datasets, settings.fit.epochs)
+    return Plan(
+        settings,
+        fit,
+        member_mapping(settings.members, len(members), data.train.u.shape[1], accelerate=settings.run.accelerate),
+        members,
+        fitted,
+        measured,
+        data,
+        jax.tree.map(lambda a: a[datasets], units),
+    )
+
+
+def plan_fit(physics: Physics, settings: TrainingSettings, *, shared: bool) -> Fit:
+    """Model and objective, without data; shared: the test record starts where the training record does."""
+    initial = InitialState(settings.run.initial_state, settings.run.n_init, shared)
+    train_physics = settings.fit.physics_parameters == "trained"
+    if not physics.differentiable and (train_physics or initial.kind == "estimated"):
+        what = "fit.physics_parameters=trained" if train_physics else "initial_state=estimated"
+        raise ValueError(
+            f"physics.physics_gradient: expected full with {what}, which needs the gradient, found stopped"
+        )
+    model = build_model(settings.model, physics)
+    return Fit(build_objective(model, initial, train_physics=train_physics), settings.fit)
+
+
+def member_tests(
+    objective: Objective, members: Sequence[Member], units: Units, wanted: Sequence[int], test: Record
+) -> MemberTests:
+    """A test record `[seq, time, channel]` for all members, or one per dataset; wanted: `RunSettings.report_n_init`."""
+    physics, initial = objective.model.physics, objective.initial
+    datasets = np.array([member.dataset for member in members])
+    test = by_dataset(matched(test, physics.inputs, physics.outputs, physics.dt, where="data: test"))
+    count = datasets.max() + 1
+    if len(test.u) == 1 and count > 1:
+        test = take(test, np.zeros(count, int))
+    if len(test.u) != count:
+        raise ValueError(f"data: test: expected one record, or {count}, one per dataset, found {len(test.u)}")
+    check_record("test", test, initial, physics)
+    measured = take(test, datasets)
+    identity = all(np.all(a.scale == 1.0) and np.all(a.offset == 0.0) for a in units)
+    own = measured if identity else in_units(measured, units)
+    return MemberTests(measured, cast(own, np.float32), _windows_to_report(initial, wanted, test))
+
+
+def member_mapping(chosen: MemberSettings, n_members: int, n_sequences: int, *, accelerate: bool) -> MemberMapping:
+    """`auto` is resolved by what the benchmark found: see `members.choose_mapping`; accelerate: False for one device
+    and no options of the compiler."""
+    best = choose_mapping(n_members, n_sequences, jax.device_count())
+    if not accelerate:
+        return MemberMapping(best.how if chosen.how == "auto" else chosen.how, chosen.sub_batch)
+    mapping = MemberMapping(
+        best.how if chosen.how == "auto" else chosen.how,
+        chosen.sub_batch,
+        best.devices if chosen.devices == "auto" else chosen.devices,
+        chosen.optimisation,
+    )
+    map_members(lambda: None, mapping)  # raises for what this machine does not have
+    return mapping
+
+
+def check_record(name: str, record: Record, initial: InitialState, physics: Physics) -> None:
+    """Raises `ValueError` for values that no float32 holds or no unit explains, and for too few samples."""
+    time = record.u.shape[2]
+    mask = np.asarray(record.mask)
+    if not mask.any():
+        raise ValueError(f"data.{name}: expected at least one measured output, found none in {record.info.origin}")
+    for k, signal in enumerate(physics.outputs):
+        check_range(f"data: {name}", signal, np.asarray(record.y)[..., k][mask[..., k]])
+    for signal in (record.u, np.where(mask, record.y, 0.0)):
+        if (largest := np.abs(signal).max()) > _LARGEST:
+            raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
+    if initial.kind == "estimated" and time <= initial.n_init:
+        raise ValueError(f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}")
+
+
+def check_range(where: str, signal: Signal, values: np.ndarray) -> None:
+    """Raises `ValueError` when values cannot be in the unit of their signal."""
+    low, high = signal.range
+    if values.size and not (low <= values.min() and values.max() <= high):
+        raise ValueError(
+            f"{where}: {signal.name}: expected {low:.3g} to {high:.3g} {signal.unit}, found values from "
+            f"{values.min():.3g} to {values.max():.3g}: are they in {signal.unit}?"
+        )
+
+
+def _has_rates(physics: Physics) -> bool:
+    """Is some state the rate of an output? Published scaling then concerns the networks alone and puts rates into the
+    units of their outputs (the arm); elsewhere the physics itself acts on standardised signals (LGSSM)."""
+    return any(state.rate_of for state in physics.states)
+
+
+def _members(settings: TrainingSettings, n_datasets: int, *, seeds_differ: bool) -> list[Member]:
+    """Every dataset with every seed; one seed without networks, because nothing else is drawn."""
+    count = settings.run.n_seeds if seeds_differ else 1
+    return [Member(settings.run.seed + i, dataset) for dataset in range(n_datasets) for i in range(count)]
+
+
+def _per_member(
+    train: Record, validation: Record, members: list[Member], settings: TrainingSettings
+) -> tuple[Record, Record]:
+    datasets = np.array([member.dataset for member in members])
+    train, validation = take(train, datasets), take(validation, datasets)
+    folds = KFold(settings.data.folds, settings.data.block)
+    if not folds.folds:
+        return train, validation
+    return kfold_masks(train, validation, [member.seed for member in members], folds)
+
+
+def _member_data(
+    scalings: list[Scaling], train: Record, validation: Record, datasets: np.ndarray, epochs: int
+) -> MemberData:
+    """Records and scaling of every member, in float32: the precision of the networks."""
+    stacked = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
+    last_epoch = np.full(len(datasets), epochs, np.int32)
+    return MemberData(cast(train, np.float32), cast(validation, np.float32), stacked, last_epoch)
+
+
+def _windows_to_report(initial: InitialState, wanted: Sequence[int], test: Record) -> list[int]:
+    """Test samples from which the initial state was found never count in the main figure."""
+    time = test.u.shape[2]
+    used = 0 if initial.shared else {"first_output": 1, "estimated": initial.n_init}.get(initial.kind, 0)
+    windows = list(dict.fromkeys(max(n, used) for n in wanted if max(n, used) < time))
+    if not windows:
+        raise ValueError(
+            f"report_n_init: expected a count below the {time} samples of the test record"
+            f"{f' and of at least {used}' if used else ''}, found {list(wanted)}"
+        )
+    return windows
