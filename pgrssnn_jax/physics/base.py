@@ -41,11 +41,12 @@ class Parameter(NamedTuple):
 class Signal(NamedTuple):
     """One state, input or output.
 
-    A state may say which output it resembles: `like` an output shares that output's scale and its first
-    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start; `memory_of` an input
-    remembers that input: its scale, and its first value at the start. range: beyond it a value must be in another unit
-    (degrees for rad); data are checked against it. start: its value at the start of a record, where it is known.
-    fit_initial: a memory that lasts, whose start a fit must find like that of a state of the physics.
+    A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
+    output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
+    by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
+    first value at the start. range: beyond it a value must be in another unit (degrees for rad); data are checked
+    against it. start: its value at the start of a record, where it is known. fit_initial: a memory that lasts, whose
+    start a fit must find like that of a state of the physics.
     """
 
     name: str
@@ -58,11 +59,26 @@ class Signal(NamedTuple):
     fit_initial: bool = False
 
 
+class Extension(NamedTuple):
+    """Extension points: the pure functions that step and measurement are made of, for effects that act inside a step.
+
+        (step, measure) = assemble(points)
+
+    points: a NamedTuple; what can be called in it takes the physics' params first, other fields are data about the
+    system. made: the step and measurement of these points, by which `extension_of` knows whether they are still those
+    of a physics.
+    """
+
+    points: Any
+    assemble: Callable[[Any], tuple[Step, Measure]]
+    made: tuple[Step, Measure]
+
+
 class Physics(NamedTuple):
     """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
     pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
     there is nothing to draw. remark: a line for the user of what the physics was built from.
-    differentiable: does `step` let gradients through?"""
+    differentiable: does `step` let gradients through? extension: where effects enter a step, None: only around it."""
 
     name: str
     step: Step
@@ -77,10 +93,32 @@ class Physics(NamedTuple):
     skeleton: Skeleton | None = None
     remark: str = ""
     differentiable: bool = True
+    extension: Extension | None = None
 
 
 def is_parameter(leaf: object) -> bool:
     return isinstance(leaf, Parameter)
+
+
+def extended(physics: Physics, points: Any, assemble: Callable[[Any], tuple[Step, Measure]]) -> Physics:
+    """The physics whose step and measurement are assembled from extension points."""
+    made = assemble(points)
+    return physics._replace(step=made[0], measure=made[1], extension=Extension(points, assemble, made))
+
+
+def extension_of(physics: Physics) -> Extension | None:
+    """Extension points of the physics; None where it has none, or where step or measurement were replaced since they
+    were assembled, which assembling them again would undo."""
+    known = physics.extension
+    return known if known and known.made[0] is physics.step and known.made[1] is physics.measure else None
+
+
+def measured_rate(physics: Physics, state: Signal) -> str | None:
+    """The output whose time derivative a state is: the one that `rate_of` names, or that the state of this name is
+    `like`; None where it is no rate, or that of something that is not measured."""
+    if any(output.name == state.rate_of for output in physics.outputs):
+        return state.rate_of
+    return next((other.like for other in physics.states if other.name == state.rate_of), None)
 
 
 def discrete(
@@ -102,7 +140,7 @@ def discrete(
     """A `Physics` from x_t = step(params, x_{t-1}, u_t).
 
     Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
-    output that does not exist, or when `dt` is not positive.
+    output (or is the rate of an output or state) that does not exist, or when `dt` is not positive.
     """
     meanings = jax.tree.map(lambda _: Parameter(), params) if parameters is None else parameters
     found = jax.tree.structure(meanings, is_leaf=is_parameter)
@@ -124,12 +162,13 @@ def discrete(
         raise ValueError(
             f"physics {name!r}: output_timing: expected after_step or before_step, found {output_timing!r}"
         )
-    known = {signal.name for signal in outputs}
+    measured = {signal.name for signal in outputs}
     for state in states:
-        for other in (state.like, state.rate_of):
+        others = measured | {signal.name for signal in states if signal is not state}
+        for kind, other, known in (("like", state.like, measured), ("rate_of", state.rate_of, others)):
             if other is not None and other not in known:
                 raise ValueError(
-                    f"physics {name!r}: state {state.name!r}: expected like one of {sorted(known)}, found {other!r}"
+                    f"physics {name!r}: state {state.name!r}: expected {kind} one of {sorted(known)}, found {other!r}"
                 )
     if not dt > 0:
         raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
