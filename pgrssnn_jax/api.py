@@ -29,7 +29,7 @@ from pgrssnn_jax.discovery.workflow import discover as discover_from
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import settings_to_json, stored_physics
 from pgrssnn_jax.effects.systems import add_effect as add
-from pgrssnn_jax.models.rollout import Trajectory, rollout
+from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
 from pgrssnn_jax.physics.simulate import free_run
@@ -38,9 +38,9 @@ from pgrssnn_jax.records.build import record_from as record
 from pgrssnn_jax.records.csv import read_csv as _read_csv
 from pgrssnn_jax.records.record import Array, Channel, Record, Start
 from pgrssnn_jax.reports.discovered import Discovered
-from pgrssnn_jax.reports.ensemble import Ensemble, Validated
+from pgrssnn_jax.reports.ensemble import Ensemble
 from pgrssnn_jax.reports.saved import load
-from pgrssnn_jax.training.evaluation import predict_validation, trained_members
+from pgrssnn_jax.training.evaluation import trained_members
 from pgrssnn_jax.training.loop import Progress
 from pgrssnn_jax.training.plan import Plan, plan_training
 from pgrssnn_jax.training.recipes import DEFAULT, PROOF, recipe_for
@@ -111,7 +111,7 @@ def finished(
         plan.train.info,
         n_train=plan.train.u.shape[2],
         seconds=seconds,
-        validated=Validated(plan.validation, predict_validation(plan, state)),
+        plan=plan,
         labels=labels,
     )
 
@@ -198,10 +198,9 @@ def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
         raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({len(sequences)}, {n_x}), found {np.shape(x0)}")
     with jax.enable_x64(True):
         start = np.broadcast_to(np.asarray(x0, np.float64), (len(sequences), n_x))
-        y, x = (np.asarray(a) for a in free_run(physics, sequences, start))
-    finite = np.isfinite(x).all(-1) & np.isfinite(y).all(-1)
-    bad = np.where(finite.all(1), u.shape[-2], np.argmin(finite, axis=1))
-    return Trajectory(y, x, bad) if u.ndim == 3 else Trajectory(y[0], x[0], bad[0])
+        y, x = map(np.asarray, free_run(physics, sequences, start))
+    found = Trajectory(y, x, first_not_finite(x, y))
+    return found if u.ndim == 3 else Trajectory(*(a[0] for a in found))
 
 
 def _training(

@@ -18,7 +18,7 @@ def usable_cores() -> int:
 
 def use_all_cores() -> None:
     """One CPU device per core. Without effect where JAX has computed before."""
-    if "JAX_NUM_CPU_DEVICES" in os.environ or jax.config.read("jax_num_cpu_devices") > 0:
+    if "JAX_NUM_CPU_DEVICES" in os.environ or jax.config.jax_num_cpu_devices > 0:  # pyright: ignore
         return
     try:
         jax.config.update("jax_num_cpu_devices", usable_cores())
@@ -28,7 +28,7 @@ def use_all_cores() -> None:
 
 def keep_compiled() -> None:
     """Compiled programs go into the user's cache folder, so that the next process finds them."""
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ or jax.config.read("jax_compilation_cache_dir"):
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ or jax.config.jax_compilation_cache_dir:  # pyright: ignore
         return
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pgrssnn_jax" / "compiled"
     jax.config.update("jax_compilation_cache_dir", str(cache))

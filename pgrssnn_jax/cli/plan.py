@@ -105,7 +105,7 @@ def load_physics(group: Mapping[str, Any], *, effects: Sequence[Effect] = ()) ->
         raise ValueError(f"physics: expected {target!r} to return a Physics, found {reason}") from problem
     check_physics(physics, target)
     if library_builder(target) is None:
-        physics = physics._replace(origin=Origin(function, {**physics.settings, **settings}, target))
+        physics = physics._replace(origin=_own_origin(function, settings, target, physics))
     if group.get("effects") is None:
         return physics
     path = Path(str(group["effects"]))
@@ -113,6 +113,19 @@ def load_physics(group: Mapping[str, Any], *, effects: Sequence[Effect] = ()) ->
     found = stored_physics(physics, stored, where=f"physics.effects: {path}", extra=effects)
     words = ", ".join(stored["numbers"]["effects"]) or "no effect"
     return found._replace(remark=f"physics of {path}: refitted parameters, {words}")
+
+
+def _own_origin(function: Any, settings: Mapping[str, Any], target: str, physics: Physics) -> Origin:
+    """Settings of the user's function, and those that its physics has besides (the integrator)."""
+    inner = physics.origin
+
+    def build(**wanted: Any) -> Physics:
+        built = function(**{name: value for name, value in wanted.items() if name in settings})
+        more = {name: value for name, value in wanted.items() if name in built.settings and name not in settings}
+        return built.variant(**more)
+
+    more = {} if inner is None else inner.settings
+    return Origin(build, {**more, **settings}, target, function)
 
 
 def own_effects(names: Sequence[str], physics: Physics) -> tuple[Effect, ...]:

@@ -22,7 +22,7 @@ from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery
-from pgrssnn_jax.effects.base import add
+from pgrssnn_jax.effects.base import add, effects_of, own_of
 from pgrssnn_jax.effects.stored import physics_to_json, plain
 
 
@@ -216,9 +216,10 @@ def _finite(value: float) -> float | None:
 
 def _numbers(found: Discovery) -> dict[str, Any]:
     """Parameters of the physics and of every effect, for `physics.effects=FILE`; infinite limits as null."""
-    params = found.problem.params(found.found.final.estimate.theta)
-    effects = {name: params[name] for name in found.found.final.estimate.active}
-    own = {name: params[name] for name in found.problem.physics.params}
+    theta = found.found.final.estimate.theta
+    params, known = found.problem.params(theta), found.problem.known(theta)
+    effects = {name: effects_of(params)[name] for name in (*effects_of(known), *found.found.final.estimate.active)}
+    own = {name: own_of(known)[name] for name in own_of(found.problem.physics.params)}
     return {"parameters": plain(own), "effects": plain(effects)}
 
 

@@ -17,8 +17,8 @@ _MEANT = 2.0  # standard deviations by which a joint's number must differ from n
 def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
     problem, search = found.problem, found.found
     effect, stage = problem.effect(name), search.stages[name]
-    numbers = problem.params(search.final.estimate.theta)[name]
-    std = problem.params(deviations(found))[name]
+    numbers = problem.params(search.final.estimate.theta).effects[name]
+    std = problem.params(deviations(found)).effects[name]
     own = next((c for c in stage.candidates if c.name == name), None)
     runner = next((c for c in stage.candidates if c.name != name and c.validated), None)
     acting = _acting(found, effect, numbers)
@@ -29,7 +29,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
 
     said: dict[str, Any] = {
         "name": name,
-        "title": effect.title,
+        "title": effect.title or effect.name.replace("_", " ").capitalize(),
         "equation": effect.equation,
         "cause": effect.cause,
         "acts_on": effect.acts_on,

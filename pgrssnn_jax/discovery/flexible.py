@@ -53,8 +53,8 @@ def families(physics: Physics) -> dict[str, Where]:
 
 
 def _belong(state: Signal, signal: Signal) -> bool:
-    """Is the signal the output whose rate the state is, or that rate?"""
-    return state.rate_of is not None and state.rate_of in (signal.like, signal.rate_of)
+    """Is the signal the output or state whose rate the state is, or that rate?"""
+    return state.rate_of is not None and state.rate_of in (signal.name, signal.like, signal.rate_of)
 
 
 def flexible_effects(physics: Physics) -> tuple[Effect, ...]:
@@ -85,29 +85,29 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
     def correction(p: Any, value: jax.Array) -> jax.Array:
         return hats(value, p["low"], p["high"], p["c"])
 
-    def after(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+    def after(p: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         signal = 0.5 * (x[index] + new[index]) if kind == "x" else u[index]
-        return new.at[where.target].add(physics.dt * correction(p[name], signal))
+        return new.at[where.target].add(physics.dt * correction(p, signal))
 
     def on_channel(p: Any, value: jax.Array) -> jax.Array:
         return value.at[where.target].add(correction(p, value[where.target]))
 
     wrap: dict[str, Callable[[Physics], Physics]] = {
-        "state": lambda inner: after_step(inner, after),
+        "state": lambda inner: after_step(inner, name, after),
         "input": lambda inner: on_input(inner, name, on_channel),
         "output": lambda inner: on_output(inner, name, on_channel),
     }
     fixed = Parameter(neutral=0.0, trainable=False)
     return Effect(
         name,
-        name,
-        "Σ c_j φ_j",
-        "",
-        {"state": "dynamics", "input": "input", "output": "measurement"}[where.kind],  # pyright: ignore[reportArgumentType]
-        {"c": Parameter("c", neutral=0.0), "high": fixed._replace(neutral=1.0), "low": fixed},
-        initial_guesses,
-        wrap[where.kind],
-        {"c": (KNOTS,)},
+        title=name,
+        equation="Σ c_j φ_j",
+        cause="",
+        acts_on={"state": "dynamics", "input": "input", "output": "measurement"}[where.kind],  # pyright: ignore[reportArgumentType]
+        parameters={"c": Parameter("c", neutral=0.0), "high": fixed._replace(neutral=1.0), "low": fixed},
+        initial_guesses=initial_guesses,
+        wrap=wrap[where.kind],
+        shapes={"c": (KNOTS,)},
     )
 
 
@@ -122,12 +122,12 @@ def _history(physics: Physics, name: str, channel: int) -> Effect:
 
     return Effect(
         name,
-        name,
-        "Σ c_k (u_{t-k} - u_t)",
-        "",
-        "input",
-        {"c": Parameter("c", neutral=0.0)},
-        lambda span: [{"c": np.zeros(_HISTORY)}],
-        lambda inner: with_memory(inner, name, memory, advance),
-        {"c": (_HISTORY,)},
+        title=name,
+        equation="Σ c_k (u_{t-k} - u_t)",
+        cause="",
+        acts_on="input",
+        parameters={"c": Parameter("c", neutral=0.0)},
+        initial_guesses=lambda span: [{"c": np.zeros(_HISTORY)}],
+        wrap=lambda inner: with_memory(inner, name, memory, advance),
+        shapes={"c": (_HISTORY,)},
     )

@@ -139,7 +139,7 @@ def _candidates(
         if effect.name in (*base.active, *without):
             continue
         places = problem.of(effect.name)
-        for numbers in effect.initial_guesses(span):
+        for numbers in effect.guesses(span):
             theta = problem.put(base.theta, effect.name, numbers)
             if np.array_equal(theta[places], base.theta[places]):
                 shared = problem.put(shared, effect.name, numbers)

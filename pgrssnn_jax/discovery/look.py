@@ -126,7 +126,7 @@ def _beside(problem: Problem, signals: Signals, base: Guess, without: Sequence[s
         Guess((*base.active, effect.name), problem.put(base.theta, effect.name, numbers), base.x0)
         for effect in problem.effects
         if effect.name not in (*base.active, *without)
-        for numbers in effect.initial_guesses(span)
+        for numbers in effect.guesses(span)
     ]
 
 

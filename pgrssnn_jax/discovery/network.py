@@ -57,12 +57,12 @@ def network_shares(
 
 def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, float, str, str]:
     first = first_checkpoint(plan)
-    alone = predict(trained_members(plan, first.state), tests.record).y
+    alone = predict(trained_members(plan, first.state), tests.record, plan.data)[0].y
     done = train(
         plan.fit, plan.mapping, first.state, plan.data, first.losses,
         on_chunk=lambda state, losses, now: None, stop=stop,
     )  # fmt: skip
-    together = predict(trained_members(plan, done.state), tests.record).y
+    together = predict(trained_members(plan, done.state), tests.record, plan.data)[0].y
     measured = tests.measured
     several = measured.y.shape[-1] > 1
     shares, errors = [], []

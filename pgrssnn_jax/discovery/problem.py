@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.acceleration.scalars import Program, written_out
-from pgrssnn_jax.effects.base import Effect, add
+from pgrssnn_jax.effects.base import Effect, WithEffects, add, effects_of, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.records.record import Record
 
@@ -26,7 +26,8 @@ ALWAYS = -2  # fold of samples that are never left out
 
 
 class Slot(NamedTuple):
-    """What one number of θ is: path of names and indices in `params`, its meaning, the effect it belongs to or None."""
+    """What one number of θ is: path of names in the physics' own params or in those of effects, label (names and
+    indices, from 1), its meaning, the effect it belongs to, None: the physics as it was given."""
 
     path: tuple[str, ...]
     label: str
@@ -70,7 +71,7 @@ class Problem:
     def with_numbers(self, params: Any) -> "Problem":
         """The same problem for other numbers of the same physics; compiled programs serve both."""
         physics = self.physics._replace(params=params)
-        whole = _double({**self.full.params, **params})
+        whole = _double(_with_known(self.full.params, params))
         theta = np.asarray(ravel_pytree(whole)[0], np.float64)
         low, high = _bounds(whole, self.slots)
         size, free = _size(theta), np.zeros(len(theta))
@@ -111,6 +112,13 @@ class Problem:
         with jax.enable_x64(True):
             return jax.tree.map(np.asarray, self.code.unravel(jnp.asarray(theta)))
 
+    def known(self, theta: np.ndarray) -> Any:
+        """θ as params of `physics`: without the numbers of the effects that are looked for."""
+        whole, given = self.params(theta), self.physics.params
+        if not isinstance(given, WithEffects):
+            return own_of(whole)
+        return WithEffects(whole.own, {name: whole.effects[name] for name in given.effects})
+
 
 class Signals(NamedTuple):
     """The record as arrays: u `[seq, time, u]`, y and weight `[seq, time, y]` (weight 0: not measured), block
@@ -139,11 +147,13 @@ def build_problem(
     meanings = jax.tree.leaves(full.parameters, is_leaf=is_parameter)
     for (path, value), meaning in zip(jax.tree_util.tree_leaves_with_path(params), meanings, strict=True):
         keys = tuple(jax.tree_util.keystr((key,), simple=True) for key in path)
-        if keys[0] in fixed:
+        place, keys = (keys[0], keys[1:]) if isinstance(params, WithEffects) else ("own", keys)
+        if place == "own" and keys[0] in fixed:
             meaning = meaning._replace(trainable=False)
+        effect = keys[0] if place == "effects" and keys[0] in names else None
         for index in np.ndindex(np.shape(value)):
             label = ".".join(keys) + "".join(f"[{i + 1}]" for i in index)
-            slots.append(Slot(keys, label, meaning, keys[0] if keys[0] in names else None))
+            slots.append(Slot(keys, label, meaning, effect))
     low, high = _bounds(params, tuple(slots))
     own = len(physics.states)
     free = np.array([i < own or state.fit_initial for i, state in enumerate(full.states)])
@@ -187,6 +197,13 @@ def _bounds(params: Any, slots: tuple[Slot, ...]) -> tuple[np.ndarray, np.ndarra
     return np.where(np.isfinite(reach), given - reach, low), np.where(np.isfinite(reach), given + reach, high)
 
 
+def _with_known(full: Any, known: Any) -> Any:
+    """Params with those of the physics replaced, which may have effects of its own."""
+    if not isinstance(full, WithEffects):
+        return known
+    return WithEffects(own_of(known), {**full.effects, **effects_of(known)})
+
+
 def _double(params: Any) -> Any:
     return jax.tree.map(lambda p: np.asarray(p, np.float64), params)
 
@@ -219,12 +236,12 @@ def carried(
     origin: Problem, target: Problem, theta: np.ndarray, x0: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """θ and x_0 of one problem in another of the same physics with other effects; start: x_0 of states that are new."""
-    places = {slot.label: i for i, slot in enumerate(origin.slots)}
+    places = {(slot.effect, slot.label): i for i, slot in enumerate(origin.slots)}
     states = {state.name: i for i, state in enumerate(origin.full.states)}
     moved, begun = target.theta.copy(), start.copy()
     for i, slot in enumerate(target.slots):
-        if slot.label in places:
-            moved[i] = theta[places[slot.label]]
+        if (slot.effect, slot.label) in places:
+            moved[i] = theta[places[slot.effect, slot.label]]
     for i, state in enumerate(target.full.states):
         if state.name in states:
             begun[:, i] = x0[:, states[state.name]]

@@ -44,7 +44,7 @@ def smoothed_correction(
     """x: states of the free run (after each input); error: weighted errors; noise: their standard deviation."""
     n = len(problem.physics.states)
     before = np.concatenate([x0[:, None], x[:, :-1]], 1)[..., :n]
-    physics, params = problem.physics, problem.params(theta)
+    physics, params = problem.physics, problem.known(theta)
     a, c = _derivatives(physics.step, physics.measure, physics.output_timing, params, before, x[..., :n], signals.u)
     c = np.asarray(c) * signals.weight[..., None]
     size = np.maximum(x[..., :n].std((0, 1)), 1e-12)  # states in units of their spread

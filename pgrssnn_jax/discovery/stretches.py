@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.signal import savgol_coeffs, savgol_filter
 
 from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
+from pgrssnn_jax.physics.base import measured_rate
 from pgrssnn_jax.records.record import Record
 
 _LONG, _SHORT, _ORDER = 15, 9, 3  # samples of the two filters, and their degree
@@ -104,8 +105,8 @@ def _states(problem: Problem, filtered: Smoothed) -> tuple[Float[np.ndarray, "se
             j = names.index(state.like)
             columns.append(filtered.value[..., j])
             errors.append(filtered.value_error[j])
-        elif state.rate_of is not None:
-            j = names.index(state.rate_of)
+        elif (rated := measured_rate(problem.physics, state)) is not None:
+            j = names.index(rated)
             columns.append(filtered.rate[..., j])
             errors.append(filtered.rate_error[j])
         else:

@@ -63,7 +63,7 @@ def formula(
     """The curve of a flexible correction in words. x: states of the free run with it."""
     physics = flexible.physics
     where = families(physics)[best.name]
-    numbers = flexible.params(best.guess.theta)[best.name]
+    numbers = flexible.params(best.guess.theta).effects[best.name]
     target = _target(physics, where)
     if where.kind == "history":
         lags = ", ".join(f"{c:+.3g} at {k + 1}" for k, c in enumerate(numbers["c"]))

@@ -2,11 +2,11 @@
 
     Physics + Effect = Physics          with the effect's parameters at their neutral values it changes nothing
 
-The parameters of an effect live in `physics.params[effect.name]`, a flat dictionary of numbers or of one array per
-parameter (one number per channel or joint), with a `Parameter` of the same name in `physics.parameters[effect.name]`.
+The numbers of effects live beside the physics' own ones, in `WithEffects`, so that no name of one meets the other's.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -14,11 +14,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal
+from pgrssnn_jax.physics.base import Extension, Origin, Parameter, Physics, Signal, extended, extension_of
 
 Numbers = Mapping[str, Any]
 Map = Callable[[Any, jax.Array], jax.Array]
-After = Callable[[Any, jax.Array, jax.Array, jax.Array], jax.Array]
+After = Callable[[Any, Any, jax.Array, jax.Array, jax.Array], jax.Array]
+_SHARES = (0.0, 0.1, 0.5)  # of the way from neutral to the further bound: where fits begin unless the effect says
+
+
+class WithEffects(NamedTuple):
+    """Numbers (or their `Parameter`s) of a physics with effects. own: what its params are without any; effects: a flat
+    dictionary of numbers or arrays (one number per channel or joint) by the name of the effect."""
+
+    own: Any
+    effects: Mapping[str, Mapping[str, Any]]
+
+
+def own_of(params: Any) -> Any:
+    """The physics' own numbers."""
+    return params.own if isinstance(params, WithEffects) else params
+
+
+def effects_of(params: Any) -> Mapping[str, Mapping[str, Any]]:
+    """The numbers of effects by their names."""
+    return params.effects if isinstance(params, WithEffects) else {}
 
 
 class SignalRange(NamedTuple):
@@ -30,44 +49,91 @@ class SignalRange(NamedTuple):
     y: Float[np.ndarray, "2 y"]
 
 
+class Needs(NamedTuple):
+    """Which physics can take an effect: words for people, after "expected", and what decides."""
+
+    words: str
+    met: Callable[[Physics], bool]
+
+
+ANY_PHYSICS = Needs("any physics", lambda physics: True)
+
+
 class Effect(NamedTuple):
     """One named physical effect.
 
-    equation: for people; cause: one line; acts_on: where it enters; parameters: what its numbers mean, each with its
-    neutral value; shapes: of those that are arrays (per channel or joint); initial_guesses: where fits begin, for
-    the range of the data; wrap: the physics with the effect, whose functions find its numbers in `params[name]`;
-    active: share of the samples in which it acts, from `(numbers, x, u)` with x `[time, x]`, u `[time, u]`, None where
-    it always does; simpler: names of effects that are preferred to this one where they do as well; channels: what
-    one number of an array belongs to (`output`, `input`, `joint`; of a matrix `output, input`).
+        wrap(physics).step(p, x, u) = physics.step(p, x, u)        where p.effects[name] is neutral; measure likewise
+
+    name, parameters (what its numbers mean, each with its neutral value) and wrap are essential. wrap: from a physics
+    whose params are `WithEffects` to the physics with the effect, by `on_input`, `on_output`, `after_step`,
+    `with_memory`, `at_points`, or any other replacement of `step` and `measure` that calls those of the physics; its
+    functions find the effect's numbers in `p.effects[name]` and the physics' own ones in `p.own`.
+
+    title, equation, cause: for people, one line each; acts_on: where it enters; shapes: of the parameters that are
+    arrays (per channel or joint); initial_guesses: where fits begin, for the range of the data, None: `guesses` finds
+    some; needs: which physics can take it; active: share of the samples in which it acts, from `(numbers, x, u)` with
+    x `[time, x]`, u `[time, u]`, None where it always does; simpler: names of effects that are preferred to this one
+    where they do as well; channels: what one number of an array belongs to (`output`, `input`, `joint`; of a matrix
+    `output, input`).
     """
 
     name: str
-    title: str
-    equation: str
-    cause: str
-    acts_on: Literal["input", "dynamics", "measurement"]
     parameters: Mapping[str, Parameter]
-    initial_guesses: Callable[[SignalRange], Sequence[Numbers]]
     wrap: Callable[[Physics], Physics]
+    title: str = ""
+    equation: str = ""
+    cause: str = ""
+    acts_on: Literal["input", "dynamics", "measurement"] = "dynamics"
     shapes: Mapping[str, tuple[int, ...]] = {}
+    initial_guesses: Callable[[SignalRange], Sequence[Numbers]] | None = None
+    needs: Needs = ANY_PHYSICS
     active: Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray] | None = None
     simpler: tuple[str, ...] = ()
     channels: str = ""
 
     def neutral(self) -> dict[str, np.ndarray]:
-        """Every number at the value at which the effect changes nothing."""
-        return {name: np.full(self.shapes.get(name, ()), p.neutral, np.float64) for name, p in self.parameters.items()}
+        """Every number at the value at which the effect changes nothing.
+
+        Raises `ValueError` for a parameter without such a value."""
+        return self._filled(lambda p: p.neutral)
+
+    def guesses(self, span: SignalRange) -> Sequence[Numbers]:
+        """Where fits begin: `initial_guesses`, or from neutral towards the further finite bound, if there is one.
+
+        Raises `ValueError` where neither is possible: of a threshold that is neutral at infinity nothing is known."""
+        if self.initial_guesses is not None:
+            return self.initial_guesses(span)
+        starts = [self._filled(lambda p, share=share: _towards_bound(p, share)) for share in _SHARES]
+        if not all(np.isfinite(value).all() for start in starts for value in start.values()):
+            raise ValueError(f"effects: {self.name}: expected initial_guesses beside an infinite neutral, found none")
+        moved = any(np.any(value != starts[0][name]) for name, value in starts[1].items())
+        return starts if moved else starts[:1]
+
+    def _filled(self, value: Callable[[Parameter], float | None]) -> dict[str, np.ndarray]:
+        for name, meaning in self.parameters.items():
+            if meaning.neutral is None:
+                raise ValueError(f"effects: {self.name}.{name}: expected a neutral value, found none")
+        return {name: np.full(self.shapes.get(name, ()), value(p), np.float64) for name, p in self.parameters.items()}
+
+
+def _towards_bound(p: Parameter, share: float) -> float:
+    neutral = 0.0 if p.neutral is None else p.neutral
+    further = max((end for end in p.bounds if np.isfinite(end)), key=lambda end: abs(end - neutral), default=neutral)
+    return neutral + share * (further - neutral) if share else neutral
 
 
 def add(physics: Physics, *effects: Effect, numbers: Mapping[str, Numbers] | None = None) -> Physics:
     """The physics with effects, in the order given; their numbers neutral where `numbers[effect.name]` says nothing.
 
-    Raises `ValueError` for an effect that is already there, and for numbers that are not the effect's.
+    Its params are `WithEffects`. Raises `ValueError` for an effect that the physics cannot take, for one that is
+    already there, and for numbers that are not the effect's.
     """
     numbers = numbers or {}
     for effect in effects:
-        if effect.name in physics.params:
+        if effect.name in effects_of(physics.params):
             raise ValueError(f"effects: expected each effect once, found {effect.name!r} in physics {physics.name!r}")
+        if not effect.needs.met(physics):
+            raise ValueError(f"effects: {effect.name}: expected {effect.needs.words}, found physics {physics.name!r}")
         given = numbers.get(effect.name, {})
         for name in given:
             if name not in effect.parameters:
@@ -77,36 +143,98 @@ def add(physics: Physics, *effects: Effect, numbers: Mapping[str, Numbers] | Non
             if value.shape != effect.shapes.get(name, ()):
                 expected = effect.shapes.get(name, ())
                 raise ValueError(f"effects: {effect.name}.{name}: expected shape {expected}, found {value.shape}")
-        wrapped = effect.wrap(physics)
-        physics = wrapped._replace(
-            params={**physics.params, effect.name: values},
-            parameters={**physics.parameters, effect.name: dict(effect.parameters)},
+            low, high = effect.parameters[name].bounds
+            if not np.all((value >= low) & (value <= high)):
+                unit = effect.parameters[name].unit
+                raise ValueError(f"effects: {effect.name}.{name}: expected {low:g} to {high:g} {unit}, found {value}")
+        inner = _beside_own(physics)
+        (own, others), (own_meanings, meanings) = inner.params, inner.parameters
+        physics = _wrapped(effect, inner)._replace(
+            params=WithEffects(own, {**others, effect.name: values}),
+            parameters=WithEffects(own_meanings, {**meanings, effect.name: dict(effect.parameters)}),
+            origin=_with_effect(physics.origin, effect, values),
         )
     return physics
 
 
+def _with_effect(origin: Origin | None, effect: Effect, values: Numbers) -> Origin | None:
+    """Variants of a physics with an effect have it too."""
+    if origin is None:
+        return None
+
+    @wraps(origin.build)
+    def build(**settings: Any) -> Physics:
+        return add(origin.build(**settings), effect, numbers={effect.name: values})
+
+    return origin._replace(build=build)
+
+
+def _beside_own(physics: Physics) -> Physics:
+    """The same physics with a place for the numbers of effects."""
+    if isinstance(physics.params, WithEffects):
+        return physics
+
+    def of_own(function: Any) -> Any:
+        return (lambda p, *rest: function(p.own, *rest)) if callable(function) else function
+
+    beside = physics._replace(
+        step=of_own(physics.step),
+        measure=of_own(physics.measure),
+        params=WithEffects(physics.params, {}),
+        parameters=WithEffects(physics.parameters, {}),
+        extension=None,
+    )
+    known = extension_of(physics)
+    return extended(beside, type(known.points)(*map(of_own, known.points)), known.assemble) if known else beside
+
+
+def _wrapped(effect: Effect, inner: Physics) -> Physics:
+    """An effect around step and measurement stays around them when a later one changes the points inside."""
+    wrapped, known = effect.wrap(inner), extension_of(inner)
+    if known is None or wrapped.extension is not inner.extension:
+        return wrapped
+
+    def assemble(points: Any) -> tuple[Any, Any]:
+        step, measure = known.assemble(points)
+        around = effect.wrap(inner._replace(step=step, measure=measure))
+        return around.step, around.measure
+
+    return wrapped._replace(extension=Extension(known.points, assemble, (wrapped.step, wrapped.measure)))
+
+
+def at_points(physics: Physics, change: Callable[[Any], Any]) -> Physics:
+    """points ← change(points): inside the step, where the physics has extension points (`Extension`).
+
+    Raises `ValueError` for a physics that has none."""
+    known = extension_of(physics)
+    if known is None:
+        raise ValueError(f"effects: expected a physics with extension points, found {physics.name!r}")
+    return extended(physics, change(known.points), known.assemble)
+
+
 def on_input(physics: Physics, name: str, change: Map) -> Physics:
-    """u ← change(numbers, u) before it reaches the physics."""
+    """u ← change(n, u) before it reaches the physics; n: numbers of the effect."""
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        return physics.step(p, x, change(p[name], u))
+        return physics.step(p, x, change(p.effects[name], u))
 
     def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        return physics.measure(p, x, change(p[name], u))
+        return physics.measure(p, x, change(p.effects[name], u))
 
     return physics._replace(step=step, measure=measure)
 
 
 def on_output(physics: Physics, name: str, change: Map) -> Physics:
-    """y ← change(numbers, y) after the measurement equation."""
-    return physics._replace(measure=lambda p, x, u: change(p[name], physics.measure(p, x, u)))
+    """y ← change(n, y) after the measurement equation; n: numbers of the effect."""
+    return physics._replace(measure=lambda p, x, u: change(p.effects[name], physics.measure(p, x, u)))
 
 
-def after_step(physics: Physics, change: After) -> Physics:
-    """x_t ← change(params, x_{t-1}, u_t, x_t): an increment or a limit once the step is done."""
+def after_step(physics: Physics, name: str, change: After) -> Physics:
+    """x_t ← change(n, own, x_{t-1}, u_t, x_t): an increment or a limit once the step is done; n: numbers of the effect,
+    own: those of the physics."""
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        return change(p, x, u, physics.step(p, x, u))
+        return change(p.effects[name], p.own, x, u, physics.step(p, x, u))
 
     return physics._replace(step=step)
 
@@ -117,14 +245,12 @@ def with_memory(
     memory: Sequence[Signal],
     advance: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]],
 ) -> Physics:
-    """`u', memory' = advance(numbers, memory, u)`: the physics sees u', and its state gains the memory at its end.
-
-    The measurement sees the input as it came.
-    """
+    """`u', memory' = advance(n, memory, u)`: the physics sees u', and its state gains the memory at its end; n: numbers
+    of the effect. The measurement sees the input as it came."""
     n = len(physics.states)
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        u, kept = advance(p[name], x[n:], u)
+        u, kept = advance(p.effects[name], x[n:], u)
         return jnp.concatenate([physics.step(p, x[:n], u), kept])
 
     def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:

@@ -4,13 +4,14 @@ feedthrough         y ← y + D u
 quadratic damping   x_t ← x_t - c |x_{t-1}| x_{t-1}        one c per state
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, after_step
+from pgrssnn_jax.effects.base import Effect, Needs, after_step, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.linear import times
 
@@ -19,25 +20,38 @@ def lgssm_effects(physics: Physics) -> tuple[Effect, ...]:
     return (quadratic_damping(physics), feedthrough(physics))
 
 
+def _linear(physics: Physics) -> Needs:
+    """The same matrices' shapes: one number per state, or per output and input."""
+    shapes = {name: np.shape(own_of(physics.params)[name]) for name in "ABC"}
+
+    def met(other: Physics) -> bool:
+        own = own_of(other.params)
+        return isinstance(own, Mapping) and all(name in own and np.shape(own[name]) == shapes[name] for name in shapes)
+
+    (n_x, n_u), n_y = shapes["B"], shapes["C"][0]
+    return Needs(f"a linear state-space model A, B, C of {n_x} states, {n_u} inputs and {n_y} outputs", met)
+
+
 def feedthrough(physics: Physics) -> Effect:
     name, shape = "feedthrough", (len(physics.outputs), len(physics.inputs))
 
     def wrap(inner: Physics) -> Physics:
         def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-            return inner.measure(p, x, u) + times(p[name]["D"], u)
+            return inner.measure(p, x, u) + times(p.effects[name]["D"], u)
 
         return inner._replace(measure=measure)
 
     return Effect(
         name,
-        "Direct feedthrough",
-        "y = C x + D u",
-        "the input acts on the output at once, past the state",
-        "measurement",
-        {"D": Parameter("D", neutral=0.0)},
-        lambda span: [{"D": np.full(shape, 0.05)}, {"D": np.full(shape, -0.05)}],
-        wrap,
-        {"D": shape},
+        title="Direct feedthrough",
+        equation="y = C x + D u",
+        cause="the input acts on the output at once, past the state",
+        acts_on="measurement",
+        parameters={"D": Parameter("D", neutral=0.0)},
+        initial_guesses=lambda span: [{"D": np.full(shape, 0.05)}, {"D": np.full(shape, -0.05)}],
+        wrap=wrap,
+        needs=_linear(physics),
+        shapes={"D": shape},
         channels="output, input",
     )
 
@@ -45,19 +59,19 @@ def feedthrough(physics: Physics) -> Effect:
 def quadratic_damping(physics: Physics) -> Effect:
     name, n = "quadratic_damping", len(physics.states)
 
-    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        own = x[:n]
-        return new.at[:n].add(-p[name]["c"] * jnp.abs(own) * own)
+    def change(p: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        return new.at[:n].add(-p["c"] * jnp.abs(x[:n]) * x[:n])
 
     return Effect(
         name,
-        "Quadratic damping",
-        "x = A x' + B u - c |x'| x'",
-        "drag that grows with the square of the speed",
-        "dynamics",
-        {"c": Parameter("c", neutral=0.0)},
-        lambda span: [{"c": np.full(n, value)} for value in (0.01, 0.05)],
-        lambda inner: after_step(inner, change),
-        {"c": (n,)},
+        title="Quadratic damping",
+        equation="x = A x' + B u - c |x'| x'",
+        cause="drag that grows with the square of the speed",
+        acts_on="dynamics",
+        parameters={"c": Parameter("c", neutral=0.0)},
+        initial_guesses=lambda span: [{"c": np.full(n, value)} for value in (0.01, 0.05)],
+        wrap=lambda inner: after_step(inner, name, change),
+        needs=_linear(physics),
+        shapes={"c": (n,)},
         channels="state",
     )

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, SignalRange, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, Needs, SignalRange, on_input, on_output, with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 LONGEST_DELAY = 6  # samples that input_delay remembers
@@ -37,6 +37,20 @@ def any_system_effects(physics: Physics) -> tuple[Effect, ...]:
         sensor_gain(physics),
         sensor_saturation(physics),
     )
+
+
+def _channels(where: Where, physics: Physics) -> Needs:
+    """As many inputs or outputs as those that the effect has numbers for."""
+    kind = "inputs" if where == "input" else "outputs"
+    n = len(getattr(physics, kind))
+    return Needs(f"{n} {kind if n > 1 else kind[:-1]}", lambda other: len(getattr(other, kind)) == n)
+
+
+def _remembered(physics: Physics) -> Needs:
+    """The inputs that memory states are named after, in samples of the same length."""
+    names, dt = [signal.name for signal in physics.inputs], physics.dt
+    words = f"the input{'s' if len(names) > 1 else ''} {', '.join(names)} with dt={dt:g} s"
+    return Needs(words, lambda other: [s.name for s in other.inputs] == names and other.dt == dt)
 
 
 def _unit(signals: Sequence[Signal]) -> str:
@@ -70,14 +84,15 @@ def _linear(
 
         return Effect(
             name,
-            title,
-            equation,
-            cause,
-            where,
-            {key: meaning},
-            initial_guesses,
-            wrap,
-            {key: (len(signals),)},
+            title=title,
+            equation=equation,
+            cause=cause,
+            acts_on=where,
+            parameters={key: meaning},
+            initial_guesses=initial_guesses,
+            wrap=wrap,
+            needs=_channels(where, physics),
+            shapes={key: (len(signals),)},
             channels="input" if where == "input" else "output",
         )
 
@@ -147,20 +162,21 @@ def _saturation(where: Where, physics: Physics) -> Effect:
     v = "u" if where == "input" else "y"
     return Effect(
         name,
-        "Input saturation" if where == "input" else "End of the sensor's range",
-        f"{v}' = min(max(u, low), high)" if where == "input" else "y = min(max(y', low), high)",
-        "the actuator cannot follow beyond its limits"
+        title="Input saturation" if where == "input" else "End of the sensor's range",
+        equation=f"{v}' = min(max(u, low), high)" if where == "input" else "y = min(max(y', low), high)",
+        cause="the actuator cannot follow beyond its limits"
         if where == "input"
         else "the sensor cannot read beyond its range",
-        where,
-        {
+        acts_on=where,
+        parameters={
             "low": Parameter(f"{v}_min", unit, neutral=-_INFINITE),
             "high": Parameter(f"{v}_max", unit, neutral=_INFINITE),
         },
-        initial_guesses,
-        wrap,
-        {"low": (n,), "high": (n,)},
-        active,
+        initial_guesses=initial_guesses,
+        wrap=wrap,
+        needs=_channels(where, physics),
+        shapes={"low": (n,), "high": (n,)},
+        active=active,
         channels="input" if where == "input" else "output",
     )
 
@@ -188,17 +204,18 @@ def input_dead_zone(physics: Physics) -> Effect:
 
     return Effect(
         "input_dead_zone",
-        "Input dead zone",
-        "u' = sign(u) max(|u| - w, 0)",
-        "a small input has no effect: friction in a valve, a pump that must first build up pressure",
-        "input",
-        {"width": Parameter("w", _unit(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},
-        initial_guesses,
-        lambda inner: on_input(
+        title="Input dead zone",
+        equation="u' = sign(u) max(|u| - w, 0)",
+        cause="a small input has no effect: friction in a valve, a pump that must first build up pressure",
+        acts_on="input",
+        parameters={"width": Parameter("w", _unit(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},
+        initial_guesses=initial_guesses,
+        wrap=lambda inner: on_input(
             inner, "input_dead_zone", lambda p, u: jnp.sign(u) * jnp.maximum(jnp.abs(u) - p["width"], 0.0)
         ),
-        {"width": (n,)},
-        lambda p, x, u: (np.abs(u) < p["width"]).any(-1),
+        needs=_channels("input", physics),
+        shapes={"width": (n,)},
+        active=lambda p, x, u: (np.abs(u) < p["width"]).any(-1),
         channels="input",
     )
 
@@ -225,13 +242,14 @@ def input_delay(physics: Physics) -> Effect:
 
     return Effect(
         "input_delay",
-        "Input delay",
-        "u'(t) = u(t - d)",
-        "transport, communication or computation takes time",
-        "input",
-        {"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
-        lambda span: [{"delay": np.asarray(k * dt)} for k in (0.5, 1.5, 2.5, 3.5, 5.0)],
-        lambda inner: with_memory(inner, "input_delay", _memory(physics, "delayed_", LONGEST_DELAY), advance),
+        title="Input delay",
+        equation="u'(t) = u(t - d)",
+        cause="transport, communication or computation takes time",
+        acts_on="input",
+        parameters={"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
+        initial_guesses=lambda span: [{"delay": np.asarray(k * dt)} for k in (0.5, 1.5, 2.5, 3.5, 5.0)],
+        wrap=lambda inner: with_memory(inner, "input_delay", _memory(physics, "delayed_", LONGEST_DELAY), advance),
+        needs=_remembered(physics),
     )
 
 
@@ -249,12 +267,13 @@ def input_lag(physics: Physics) -> Effect:
 
     return Effect(
         "input_lag",
-        "Actuator lag",
-        "τ dz/dt = u - z, u' = z",
-        "the actuator follows its command with a first-order lag",
-        "input",
-        {"time_constant": Parameter("τ", "s", bounds=(0.0, 50.0 * dt), neutral=0.0)},
-        lambda span: [{"time_constant": np.asarray(k * dt)} for k in (1.0, 3.0, 8.0)],
-        lambda inner: with_memory(inner, "input_lag", [s._replace(fit_initial=True) for s in memory], advance),
+        title="Actuator lag",
+        equation="τ dz/dt = u - z, u' = z",
+        cause="the actuator follows its command with a first-order lag",
+        acts_on="input",
+        parameters={"time_constant": Parameter("τ", "s", bounds=(0.0, 50.0 * dt), neutral=0.0)},
+        initial_guesses=lambda span: [{"time_constant": np.asarray(k * dt)} for k in (1.0, 3.0, 8.0)],
+        wrap=lambda inner: with_memory(inner, "input_lag", [s._replace(fit_initial=True) for s in memory], advance),
+        needs=_remembered(physics),
         simpler=("input_delay",),  # a lag below one sample is a delay
     )

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, effects_of, own_of
-from pgrssnn_jax.effects.systems import add_named
+from pgrssnn_jax.effects.systems import add_named, in_catalogue_order
 from pgrssnn_jax.physics.base import Physics, Signal
 
 OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is
@@ -29,7 +29,7 @@ def physics_to_json(physics: Physics) -> dict[str, Any]:
     return {
         "system": physics.name,
         "physics": {"_target_": target or None, **settings_to_json(physics)},
-        "numbers": {"parameters": plain(own_of(physics.params)), "effects": plain(effects_of(physics.params))},
+        "numbers": {"parameters": plain(own_of(physics.params)), "effects": _in_order(physics)},
         "initial_state": {s.name: s.start for s in physics.states if s.start is not None},
         "signals": {kind: _named(getattr(physics, kind)) for kind in ("states", "inputs", "outputs")},
         "dt": physics.dt,
@@ -65,7 +65,10 @@ def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, e
         raise ValueError(f"{where}: expected parameters {sorted(base.params)}, found {sorted(parameters)}")
     own = {name: _shaped(like, parameters[name], where, name) for name, like in base.params.items()}
     base = base._replace(params=own)
-    found = add_named(base, stored["numbers"]["effects"], extra)
+    effects = stored["numbers"]["effects"]
+    if "verdict" in stored:  # a discovery lists its effects as they were found
+        effects = {name: effects[name] for name in in_catalogue_order(base, effects)}
+    found = add_named(base, effects, extra)
     start = stored["initial_state"] or {}
     states = tuple(s._replace(start=start[s.name]) if s.name in start else s for s in found.states)
     return found._replace(states=states, discovered=bool(stored.get("discovered", "verdict" in stored)))
@@ -92,9 +95,8 @@ def check_keys(found: Any, where: str) -> None:
 
 
 def source_digest(physics: Physics) -> str | None:
-    """The first 12 hexadecimal digits of the SHA-256 of the builder's source, or of the step's; None where there is no
-    source."""
-    function = inspect.unwrap(physics.origin.build if physics.origin and physics.origin.target else physics.step)
+    """The first 12 hexadecimal digits of the SHA-256 of the source of the physics; None where there is none."""
+    function = physics.origin.source if physics.origin and physics.origin.source else physics.step
     try:
         return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()[:12]
     except (OSError, TypeError):
@@ -112,6 +114,12 @@ def plain(tree: Any) -> Any:
     if isinstance(tree, float):
         return tree if math.isfinite(tree) else None
     return str(tree) if isinstance(tree, Path) else tree
+
+
+def _in_order(physics: Physics) -> dict[str, Any]:
+    """Numbers of the effects in the order in which they were added, which `parameters` has kept."""
+    numbers = effects_of(physics.params)
+    return {name: plain(numbers[name]) for name in effects_of(physics.parameters)}
 
 
 def _named(signals: Sequence[Signal]) -> list[list[str]]:

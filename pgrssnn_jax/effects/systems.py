@@ -1,71 +1,106 @@
 """Which effects a physics may lack, by the system that it is, in the order in which they are added to it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from pgrssnn_jax.effects.arm import arm_effects
-from pgrssnn_jax.effects.base import Effect, Numbers, add
+from pgrssnn_jax.effects.arm_common import points_of
+from pgrssnn_jax.effects.base import Effect, Numbers, add, own_of
 from pgrssnn_jax.effects.lgssm import lgssm_effects
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.base import Physics
 
-_PARAMETERS = {"arm": {"G", "B", "Tc"}, "lgssm": {"A", "B", "C"}, "tanks": {"k1", "k2", "k3", "k4", "k5"}}
+_PARAMETERS = {"lgssm": {"A", "B", "C"}, "tanks": {"k1", "k2", "k3", "k4", "k5"}}
 _SAID_OTHERWISE = {"tanks": ("input_saturation", "input_dead_zone")}  # a pump has names of its own for these
 
 
-def catalogue(physics: Physics, without: Sequence[str] = ()) -> tuple[Effect, ...]:
-    """The system's own effects, then those of any system, but for those named in `without`.
+def catalogue(physics: Physics, without: Sequence[str] = (), extra: Sequence[Effect] = ()) -> tuple[Effect, ...]:
+    """The system's own effects that this physics can take, then those of any system, but for those named in `without`;
+    then the user's own ones, `extra`.
 
-    Raises `ValueError` when `without` names an effect that this physics does not have.
+    Raises `ValueError` when `without` names an effect that is not among them, and for an extra effect whose name is
+    taken or that the physics cannot take.
     """
-    system = system_of(physics)
-    # an arm's own effects say per joint what those of any system would
-    found = arm_effects(physics) if system == "arm" else (*_own(physics, system), *any_system_effects(physics))
-    found = tuple(e for e in found if e.name not in _SAID_OTHERWISE.get(system, ()))
+    found = [effect for effect in _of_system(physics) if effect.needs.met(physics)]
     known = [effect.name for effect in found]
     for name in without:
         if name not in known:
             raise ValueError(f"effects: expected some of {known} of physics {physics.name!r}, found {name!r}")
-    return tuple(effect for effect in found if effect.name not in without)
+    found = [effect for effect in found if effect.name not in without]
+    for effect in extra:
+        if effect.name in (other.name for other in found):
+            raise ValueError(f"effects: expected extra effects with names of their own, found another {effect.name!r}")
+        add(physics, effect)  # raises for what the physics cannot take
+        found.append(effect)
+    return tuple(found)
 
 
 def system_of(physics: Physics) -> str:
     """`arm`, `lgssm` or `tanks` for the library's own systems, `any` for others, whatever they are called."""
-    return physics.name if _PARAMETERS.get(physics.name, {""}) <= set(physics.params) else "any"
+    if points_of(physics) is not None:
+        return "arm"
+    return physics.name if _PARAMETERS.get(physics.name, {""}) <= set(own_of(physics.params)) else "any"
 
 
-def _own(physics: Physics, system: str) -> tuple[Effect, ...]:
-    if system == "tanks":
-        return tank_effects(physics)
-    if system == "lgssm":
-        return lgssm_effects(physics)
-    return ()
+def _of_system(physics: Physics) -> tuple[Effect, ...]:
+    """Also those that a setting of the physics (an arm's backend) does not allow."""
+    system = system_of(physics)
+    if system == "arm":  # its own effects say per joint what those of any system would
+        return arm_effects(physics)
+    own = {"tanks": tank_effects, "lgssm": lgssm_effects}
+    found = (*(own[system](physics) if system in own else ()), *any_system_effects(physics))
+    return tuple(effect for effect in found if effect.name not in _SAID_OTHERWISE.get(system, ()))
 
 
-def add_named(physics: Physics, numbers: Mapping[str, Numbers]) -> Physics:
-    """The physics with the effects that `numbers` names, each with its numbers, in the catalogue's order.
+def add_effect(physics: Physics, effect: Effect | str, /, **numbers: Any) -> Physics:
+    """The physics with one effect, one of the user's or that of the catalogue with this name.
 
-    Raises `ValueError` for a name that is not in the catalogue of this physics.
+    numbers: by the names of the effect's parameters; one number stands for all channels or joints; None, and what is
+    not given, is neutral. Raises `ValueError` for an unknown name, an effect that the physics cannot take or already
+    has, and for numbers that are not the effect's.
     """
-    known = catalogue(physics)
-    names = [effect.name for effect in known]
-    for name in numbers:
-        if name not in names:
-            raise ValueError(f"effects: expected some of {names} of physics {physics.name!r}, found {name!r}")
-    chosen = [effect for effect in known if effect.name in numbers]
+    one = _named(physics, effect) if isinstance(effect, str) else effect
+    return add(physics, one, numbers={one.name: _numbers(one, numbers)})
+
+
+def add_named(physics: Physics, numbers: Mapping[str, Numbers], extra: Sequence[Effect] = ()) -> Physics:
+    """The physics with the effects that `numbers` names, each with its numbers, in their order.
+
+    extra: effects beside those of the catalogue. Raises `ValueError` for a name that is in neither.
+    """
+    chosen = [_named(physics, name, extra) for name in numbers]
     return add(physics, *chosen, numbers={effect.name: _numbers(effect, numbers[effect.name]) for effect in chosen})
 
 
+def in_catalogue_order(physics: Physics, names: Iterable[str]) -> list[str]:
+    """The order in which discovery adds effects: that of the catalogue, then those that are not in it."""
+    known = [effect.name for effect in _of_system(physics)]
+    return sorted(names, key=lambda name: known.index(name) if name in known else len(known))
+
+
+def _named(physics: Physics, name: str, extra: Sequence[Effect] = ()) -> Effect:
+    known = {effect.name: effect for effect in (*_of_system(physics), *extra)}
+    if name not in known:
+        raise ValueError(f"effects: expected some of {list(known)} of physics {physics.name!r}, found {name!r}")
+    return known[name]
+
+
 def _numbers(effect: Effect, given: Numbers) -> dict[str, Any]:
-    """Numbers as a JSON file holds them: None stands for a limit that is not there."""
+    """Numbers as a JSON file or a user gives them: None stands for neutral (a limit that is not there), one number for
+    those of all channels."""
     neutral = effect.neutral()
 
     def one(name: str, value: Any) -> np.ndarray:
-        found = np.asarray(value, object)
-        absent = np.vectorize(lambda v: v is None, otypes=[bool])(found)
-        return np.where(absent, neutral.get(name, np.nan), np.where(absent, np.nan, found)).astype(np.float64)
+        found, missing = np.asarray(value, object), neutral.get(name, np.asarray(np.nan))
+        if found.ndim == 0 or found.shape == missing.shape:
+            absent = np.reshape([v is None for v in found.flat], found.shape)
+            found = np.where(absent, missing, found)
+        try:
+            return found.astype(np.float64)
+        except (TypeError, ValueError) as problem:
+            raise ValueError(f"effects: {effect.name}.{name}: expected numbers, found {value!r}") from problem
 
     return {name: one(name, value) for name, value in given.items()}

@@ -10,14 +10,14 @@ Flows that an effect adds act once per sample, at the mean of the levels before 
 they change let out in the meantime (errors of second order).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input
+from pgrssnn_jax.effects.base import Effect, Needs, SignalRange, after_step, on_input, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.tanks import safe_sqrt
 
@@ -40,6 +40,18 @@ def tank_effects(physics: Physics) -> tuple[Effect, ...]:
         pump_dead_zone(),
         pump_saturation(),
     )
+
+
+def _tanks(dt: float | None = None) -> Needs:
+    """dt: sample time of the steps that the effect adds flows to, s."""
+    words = "two cascaded tanks with k1 to k5, one pump" + ("" if dt is None else f" and dt={dt:g} s")
+
+    def met(physics: Physics) -> bool:
+        own = own_of(physics.params)
+        known = isinstance(own, Mapping) and {"k1", "k2", "k3", "k4", "k5"} <= set(own)
+        return known and len(physics.states) >= 2 and len(physics.inputs) == 1 and dt in (None, physics.dt)
+
+    return Needs(words, met)
 
 
 def _between(x: jax.Array, new: jax.Array) -> jax.Array:
@@ -70,14 +82,14 @@ def _shares(
     return initial_guesses
 
 
-def _spilled(p: Any, level: Any, x: jax.Array, new: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
+def _spilled(own: Any, level: Any, x: jax.Array, new: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
     """What runs over the rim in one step, and what the step let through the drain because the level stood above the rim
     in the meantime: dt f (q(L + e/2) - q(L)), f the share of the step above the rim, e the height reached."""
     over = jnp.maximum(new[0] - level, 0.0)
     spills = over > 0.0
     rim, rise = jnp.where(spills, level, 1.0), jnp.where(spills, jnp.maximum(new[0] - x[0], over), 1.0)
     half = rim + 0.5 * over
-    through = p["k1"] * (safe_sqrt(half) - safe_sqrt(rim)) - p["k2"] * (half - rim)
+    through = own["k1"] * (safe_sqrt(half) - safe_sqrt(rim)) - own["k2"] * (half - rim)
     extra = jnp.where(spills, dt * over / rise * through, 0.0)
     return over + extra, extra
 
@@ -85,9 +97,9 @@ def _spilled(p: Any, level: Any, x: jax.Array, new: jax.Array, dt: float) -> tup
 def overflow_1to2(dt: float) -> Effect:
     name = "overflow_1to2"
 
-    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        spilled, extra = _spilled(p, p[name]["level"], x, new, dt)
-        return new.at[0].add(extra - spilled).at[1].add(p[name]["share"] * spilled - extra)
+    def change(n: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        spilled, extra = _spilled(own, n["level"], x, new, dt)
+        return new.at[0].add(extra - spilled).at[1].add(n["share"] * spilled - extra)
 
     def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
         levels = _shares("level", "x", 0, (0.55, 0.75, 0.9))(span)
@@ -95,16 +107,17 @@ def overflow_1to2(dt: float) -> Effect:
 
     return Effect(
         name,
-        "Overflow of the upper tank into the lower",
-        "x1 ≤ L; x2 gains α times what spills",
-        "the upper tank runs over its rim, and part of the water falls into the lower tank",
-        "dynamics",
-        {
+        needs=_tanks(dt),
+        title="Overflow of the upper tank into the lower",
+        equation="x1 ≤ L; x2 gains α times what spills",
+        cause="the upper tank runs over its rim, and part of the water falls into the lower tank",
+        acts_on="dynamics",
+        parameters={
             "level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE),
             "share": Parameter("α", "", bounds=(0.0, 1.0), neutral=1.0),
         },
-        initial_guesses,
-        lambda physics: after_step(physics, change),
+        initial_guesses=initial_guesses,
+        wrap=lambda physics: after_step(physics, name, change),
         active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
         simpler=("overflow_lost",),
     )
@@ -113,19 +126,20 @@ def overflow_1to2(dt: float) -> Effect:
 def overflow_lost(dt: float) -> Effect:
     name = "overflow_lost"
 
-    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        spilled, extra = _spilled(p, p[name]["level"], x, new, dt)
+    def change(n: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        spilled, extra = _spilled(own, n["level"], x, new, dt)
         return new.at[0].add(extra - spilled).at[1].add(-extra)
 
     return Effect(
         name,
-        "Overflow of the upper tank, lost",
-        "x1 ≤ L",
-        "the upper tank runs over its rim, and the water leaves the system",
-        "dynamics",
-        {"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
-        _shares("level", "x", 0, (0.55, 0.75, 0.9)),
-        lambda physics: after_step(physics, change),
+        needs=_tanks(dt),
+        title="Overflow of the upper tank, lost",
+        equation="x1 ≤ L",
+        cause="the upper tank runs over its rim, and the water leaves the system",
+        acts_on="dynamics",
+        parameters={"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        initial_guesses=_shares("level", "x", 0, (0.55, 0.75, 0.9)),
+        wrap=lambda physics: after_step(physics, name, change),
         active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
     )
 
@@ -134,13 +148,14 @@ def tank2_overflow() -> Effect:
     name = "tank2_overflow"
     return Effect(
         name,
-        "Overflow of the lower tank",
-        "x2 ≤ L",
-        "the lower tank runs over its rim",
-        "dynamics",
-        {"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
-        _shares("level", "x", 1, (0.65, 0.8, 0.93)),
-        lambda physics: after_step(physics, lambda p, x, u, new: new.at[1].min(p[name]["level"])),
+        needs=_tanks(),
+        title="Overflow of the lower tank",
+        equation="x2 ≤ L",
+        cause="the lower tank runs over its rim",
+        acts_on="dynamics",
+        parameters={"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        initial_guesses=_shares("level", "x", 1, (0.65, 0.8, 0.93)),
+        wrap=lambda physics: after_step(physics, name, lambda n, own, x, u, new: new.at[1].min(n["level"])),
         active=lambda n, x, u: x[:, 1] >= n["level"] - 1e-6,
     )
 
@@ -149,13 +164,14 @@ def pump_dead_zone() -> Effect:
     name = "pump_dead_zone"
     return Effect(
         name,
-        "Dead zone of the pump",
-        "u' = max(u - u0, 0)",
-        "the pump moves no water until its voltage has overcome friction and head",
-        "input",
-        {"voltage": Parameter("u0", "V", bounds=(0.0, _INFINITE), neutral=0.0)},
-        _shares("voltage", "u", 0, (0.1, 0.25, 0.45)),
-        lambda physics: on_input(physics, name, lambda n, u: _dead(u, n["voltage"])),
+        needs=_tanks(),
+        title="Dead zone of the pump",
+        equation="u' = max(u - u0, 0)",
+        cause="the pump moves no water until its voltage has overcome friction and head",
+        acts_on="input",
+        parameters={"voltage": Parameter("u0", "V", bounds=(0.0, _INFINITE), neutral=0.0)},
+        initial_guesses=_shares("voltage", "u", 0, (0.1, 0.25, 0.45)),
+        wrap=lambda physics: on_input(physics, name, lambda n, u: _dead(u, n["voltage"])),
         active=lambda n, x, u: u[:, 0] < n["voltage"],
     )
 
@@ -169,13 +185,14 @@ def pump_saturation() -> Effect:
     name = "pump_saturation"
     return Effect(
         name,
-        "Saturation of the pump",
-        "u' = min(u, u_max)",
-        "the pump delivers no more above some voltage",
-        "input",
-        {"voltage": Parameter("u_max", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
-        _shares("voltage", "u", 0, (0.55, 0.7, 0.85)),
-        lambda physics: on_input(physics, name, lambda n, u: jnp.minimum(u, n["voltage"])),
+        needs=_tanks(),
+        title="Saturation of the pump",
+        equation="u' = min(u, u_max)",
+        cause="the pump delivers no more above some voltage",
+        acts_on="input",
+        parameters={"voltage": Parameter("u_max", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        initial_guesses=_shares("voltage", "u", 0, (0.55, 0.7, 0.85)),
+        wrap=lambda physics: on_input(physics, name, lambda n, u: jnp.minimum(u, n["voltage"])),
         active=lambda n, x, u: u[:, 0] > n["voltage"],
     )
 
@@ -184,16 +201,17 @@ def pump_nonlinearity() -> Effect:
     name = "pump_nonlinearity"
     return Effect(
         name,
-        "Curved pump characteristic",
-        "u' = u (1 + c u / 10 V) (|u| / 3 V)^(n - 1)",
-        "the flow of the pump is not proportional to its voltage",
-        "input",
-        {
+        needs=_tanks(),
+        title="Curved pump characteristic",
+        equation="u' = u (1 + c u / 10 V) (|u| / 3 V)^(n - 1)",
+        cause="the flow of the pump is not proportional to its voltage",
+        acts_on="input",
+        parameters={
             "curvature": Parameter("c", "", bounds=(-5.0, 5.0), neutral=0.0),
             "exponent": Parameter("n", "", bounds=(0.3, 3.0), neutral=1.0),
         },
-        lambda span: [{"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)],
-        lambda physics: on_input(physics, name, _curved),
+        initial_guesses=lambda span: [{"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)],
+        wrap=lambda physics: on_input(physics, name, _curved),
     )
 
 
@@ -205,22 +223,23 @@ def _curved(n: Any, u: jax.Array) -> jax.Array:
 def leak_tank1(dt: float) -> Effect:
     name = "leak_tank1"
 
-    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
-        level, rate = _between(x, new)[0], p[name]["rate"]
-        drain = _slope(p["k1"], level, p["k2"])
+    def change(n: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+        level, rate = _between(x, new)[0], n["rate"]
+        drain = _slope(own["k1"], level, own["k2"])
         lost = dt * rate * level
         less = (1.0 - _kept(dt, drain)) * lost  # that a lower level lets into the lower tank
         return new.at[0].add(-lost * _kept(dt, drain + rate)).at[1].add(-less)
 
     return Effect(
         name,
-        "Leak of the upper tank",
-        "dx1/dt = ... - r x1",
-        "the upper tank loses water that does not reach the lower one",
-        "dynamics",
-        {"rate": Parameter("r", "1/s", bounds=(0.0, 0.1), neutral=0.0)},
-        lambda span: [{"rate": np.asarray(r)} for r in (0.001, 0.005)],
-        lambda physics: after_step(physics, change),
+        needs=_tanks(dt),
+        title="Leak of the upper tank",
+        equation="dx1/dt = ... - r x1",
+        cause="the upper tank loses water that does not reach the lower one",
+        acts_on="dynamics",
+        parameters={"rate": Parameter("r", "1/s", bounds=(0.0, 0.1), neutral=0.0)},
+        initial_guesses=lambda span: [{"rate": np.asarray(r)} for r in (0.001, 0.005)],
+        wrap=lambda physics: after_step(physics, name, change),
     )
 
 
@@ -229,43 +248,45 @@ def bypass(dt: float) -> Effect:
 
     def wrap(physics: Physics) -> Physics:
         def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-            share = p[name]["share"]
+            share, own = p.effects[name]["share"], p.own
             new = physics.step(p, x, (1.0 - share) * u)
-            gain = dt * share * p["k3"] * u[0]
-            return new.at[1].add(gain * _kept(dt, _slope(p["k4"], x[1], p["k5"])))
+            gain = dt * share * own["k3"] * u[0]
+            return new.at[1].add(gain * _kept(dt, _slope(own["k4"], x[1], own["k5"])))
 
         return physics._replace(step=step)
 
     return Effect(
         name,
-        "Bypass of the upper tank",
-        "a share β of k3 u flows into the lower tank",
-        "part of the pump's flow misses the upper tank",
-        "dynamics",
-        {"share": Parameter("β", "", bounds=(0.0, 1.0), neutral=0.0)},
-        lambda span: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
-        wrap,
+        needs=_tanks(dt),
+        title="Bypass of the upper tank",
+        equation="a share β of k3 u flows into the lower tank",
+        cause="part of the pump's flow misses the upper tank",
+        acts_on="dynamics",
+        parameters={"share": Parameter("β", "", bounds=(0.0, 1.0), neutral=0.0)},
+        initial_guesses=lambda span: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
+        wrap=wrap,
     )
 
 
 def outlet_exponent(dt: float) -> Effect:
     name = "outlet_exponent"
 
-    def change(p: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
+    def change(n: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         level = _between(x, new)[1]
         wet = level > 0.0
-        exponent, above = p[name]["exponent"], jnp.where(wet, level, 1.0)  # no power of zero in the gradient
+        exponent, above = n["exponent"], jnp.where(wet, level, 1.0)  # no power of zero in the gradient
         root, power = jnp.sqrt(above), above ** (exponent - 0.5)
-        slope = exponent * p["k4"] * power / root - p["k5"]
-        return new.at[1].add(-dt * jnp.where(wet, p["k4"] * root * (power - 1.0) * _kept(dt, slope), 0.0))
+        slope = exponent * own["k4"] * power / root - own["k5"]
+        return new.at[1].add(-dt * jnp.where(wet, own["k4"] * root * (power - 1.0) * _kept(dt, slope), 0.0))
 
     return Effect(
         name,
-        "Outlet that is no sharp orifice",
-        "outflow k4 x2^γ",
-        "the outlet of the lower tank has a tube, or its flow is partly laminar",
-        "dynamics",
-        {"exponent": Parameter("γ", "", bounds=(0.1, 1.5), neutral=0.5)},
-        lambda span: [{"exponent": np.asarray(g)} for g in (0.4, 0.65)],
-        lambda physics: after_step(physics, change),
+        needs=_tanks(dt),
+        title="Outlet that is no sharp orifice",
+        equation="outflow k4 x2^γ",
+        cause="the outlet of the lower tank has a tube, or its flow is partly laminar",
+        acts_on="dynamics",
+        parameters={"exponent": Parameter("γ", "", bounds=(0.1, 1.5), neutral=0.5)},
+        initial_guesses=lambda span: [{"exponent": np.asarray(g)} for g in (0.4, 0.65)],
+        wrap=lambda physics: after_step(physics, name, change),
     )

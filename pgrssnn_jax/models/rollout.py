@@ -24,9 +24,9 @@ class Trajectory(NamedTuple):
     """y `[seq, time, y]` and x `[seq, time, x]` (state after u_t acted) in physical units; first_bad `[seq]`: index of
     the first sample at which x or y is not finite, `time` if none."""
 
-    y: Float[jax.Array, "seq time y"]
-    x: Float[jax.Array, "seq time x"]
-    first_bad: Int[jax.Array, " seq"]
+    y: Float[Array, "seq time y"]
+    x: Float[Array, "seq time x"]
+    first_bad: Int[Array, " seq"]
 
 
 def rollout(
@@ -57,9 +57,14 @@ def rollout(
     x_time = (_fused if fused else _split)(model, params, networks, u_time, x0, held)
     read = x_time if model.physics.output_timing == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])
     y_time = _measure(model, params, networks, read, u_time)
-    finite = jnp.isfinite(x_time).all(-1) & jnp.isfinite(y_time).all(-1)
-    first_bad = jnp.where(finite.all(0), len(finite), jnp.argmin(finite, axis=0)).astype(jnp.int32)
-    return Trajectory(jnp.swapaxes(y_time, 0, 1), jnp.swapaxes(x_time, 0, 1), first_bad)
+    x, y = jnp.swapaxes(x_time, 0, 1), jnp.swapaxes(y_time, 0, 1)
+    return Trajectory(y, x, first_not_finite(x, y))
+
+
+def first_not_finite(x: Float[Array, "seq time x"], y: Float[Array, "seq time y"]) -> Int[jax.Array, " seq"]:
+    """Index of the first sample at which x or y is not finite, the number of samples if none."""
+    finite = jnp.isfinite(x).all(-1) & jnp.isfinite(y).all(-1)
+    return jnp.where(finite.all(1), finite.shape[1], jnp.argmin(finite, axis=1)).astype(jnp.int32)
 
 
 def _physics_step(model: Model, params: ModelParams, x: jax.Array, u: jax.Array) -> jax.Array:

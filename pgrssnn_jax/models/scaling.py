@@ -1,7 +1,7 @@
 """Scaling of a model's states, from one training record and the physics.
 
-A state that is `like` an output shares that output's scaling; a `rate_of` an output is scaled by the size of its
-differences; any other state by a simulation of the physics over the training inputs.
+A state that is `like` an output shares that output's scaling; the rate of something that is measured is scaled by the
+size of its differences; any other state by a simulation of the physics over the training inputs.
 """
 
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.models.model import Model
-from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.base import Physics, measured_rate
 from pgrssnn_jax.physics.simulate import simulated_states
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.records.scaling import Scaling, identity, real_samples, signal_scaling, usable_affine
@@ -34,19 +34,20 @@ def fit_scaling(train: Record, physics: Physics | None, *, rates_like_outputs: b
         return Scaling(u, identity(0), y)
     outputs = [signal.name for signal in physics.outputs]
     offset, scale = np.zeros(len(physics.states)), np.ones(len(physics.states))
-    if not all(state.like or state.rate_of or state.memory_of for state in physics.states):
+    rates = [measured_rate(physics, state) for state in physics.states]
+    if not all(state.like or rate or state.memory_of for state, rate in zip(physics.states, rates, strict=True)):
         simulated = _simulated_states(train, physics)
         offset, scale = simulated.mean(0), simulated.std(0)
-    for i, state in enumerate(physics.states):
+    for i, (state, rate) in enumerate(zip(physics.states, rates, strict=True)):
         if state.memory_of is not None:
             j = [signal.name for signal in physics.inputs].index(state.memory_of)
             offset[i], scale[i] = u.offset[j], u.scale[j]
-        same = state.like or (state.rate_of if rates_like_outputs else None)
+        same = state.like or (rate if rates_like_outputs else None)
         if same is not None:
             j = outputs.index(same)
             offset[i], scale[i] = y.offset[j], y.scale[j]
-        elif state.rate_of is not None:
-            j = outputs.index(state.rate_of)
+        elif rate is not None:
+            j = outputs.index(rate)
             offset[i], scale[i] = 0.0, _rate_scale(np.where(train.mask, train.y, np.nan)[..., j], physics.dt)
     return Scaling(u, usable_affine(offset, scale), y)
 

@@ -45,11 +45,12 @@ class Parameter(NamedTuple):
 class Signal(NamedTuple):
     """One state, input or output.
 
-    A state may say which output it resembles: `like` an output shares that output's scale and its first
-    value; `rate_of` an output is its time derivative: scaled by differences, zero at the start; `memory_of` an input
-    remembers that input: its scale, and its first value at the start. range: beyond it a value must be in another unit
-    (degrees for rad); data are checked against it. start: its value at the start of a record, where it is known.
-    fit_initial: a memory that lasts, whose start a fit must find like that of a state of the physics.
+    A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
+    output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
+    by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
+    first value at the start. range: beyond it a value must be in another unit (degrees for rad); data are checked
+    against it. start: its value at the start of a record, where it is known. fit_initial: a memory that lasts, whose
+    start a fit must find like that of a state of the physics.
     """
 
     name: str
@@ -64,19 +65,36 @@ class Signal(NamedTuple):
 
 class Origin(NamedTuple):
     """How a physics was built: `build(**settings)` builds it again. target: where `build` can be imported from, empty
-    where nobody said."""
+    where nobody said; source: the function whose source tells this physics from others."""
 
     build: Callable[..., "Physics"]
     settings: Mapping[str, Any]
     target: str = ""
+    source: Callable[..., Any] | None = None
+
+
+class Extension(NamedTuple):
+    """Extension points: the pure functions that step and measurement are made of, for effects that act inside a step.
+
+        (step, measure) = assemble(points)
+
+    points: a NamedTuple; what can be called in it takes the physics' params first, other fields are data about the
+    system. made: the step and measurement of these points, by which `extension_of` knows whether they are still those
+    of a physics.
+    """
+
+    points: Any
+    assemble: Callable[[Any], tuple[Step, Measure]]
+    made: tuple[Step, Measure]
 
 
 class Physics(NamedTuple):
     """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
     pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
     there is nothing to draw. remark: a line for the user of what the physics was built from.
-    differentiable: does `step` let gradients through? origin: its builder and settings, None where they are not known;
-    discovered: were its numbers fitted to a whole estimation record?"""
+    differentiable: does `step` let gradients through? extension: where effects enter a step, None: only around it.
+    origin: its builder and settings, None where they are not known; discovered: were its numbers fitted to a whole
+    estimation record?"""
 
     name: str
     step: Step
@@ -91,6 +109,7 @@ class Physics(NamedTuple):
     skeleton: Skeleton | None = None
     remark: str = ""
     differentiable: bool = True
+    extension: Extension | None = None
     origin: Origin | None = None
     discovered: bool = False
 
@@ -100,7 +119,8 @@ class Physics(NamedTuple):
         return {} if self.origin is None else self.origin.settings
 
     def variant(self, **changes: Any) -> "Physics":
-        """The same physics with other settings of its builder; numbers that these do not concern stay as they are.
+        """The same physics with other settings of its builder; numbers that these do not concern stay as they are, and
+        so do its effects.
 
         Raises `ValueError` for a setting that the builder does not have.
         """
@@ -108,19 +128,32 @@ class Physics(NamedTuple):
             if name not in self.settings:
                 known = sorted(self.settings)
                 raise ValueError(f"physics {self.name!r}: variant: expected settings among {known}, found {name!r}")
-        if self.origin is None:
+        if self.origin is None or not changes:
             return self
         before = self.origin.build(**self.settings)
         after = self.origin.build(**{**self.settings, **changes})
-        untouched = [
-            name
-            for name in after.params
-            if name in before.params
-            and np.shape(after.params[name]) == np.shape(self.params[name])
-            and np.array_equal(before.params[name], after.params[name])
-        ]
-        params = {**after.params, **{name: self.params[name] for name in untouched}}
-        return after._replace(params=params, origin=after.origin and after.origin._replace(target=self.origin.target))
+        params = _kept(self.params, before.params, after.params)
+        settings = {**self.settings, **changes}
+        origin = self.origin._replace(settings=settings)
+        return after._replace(params=params, origin=origin, discovered=self.discovered)
+
+
+def _kept(present: Params, before: Params, after: Params) -> Params:
+    """The numbers of `after`; where they do not differ from those of `before`, the present ones."""
+    (now, was), places = (
+        (
+            {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
+            for tree in (present, before)
+        ),
+        jax.tree_util.tree_leaves_with_path(after),
+    )
+
+    def chosen(place: str, leaf: Any) -> Any:
+        same = place in now and place in was and np.array_equal(was[place], leaf)
+        return now[place] if same and np.shape(now[place]) == np.shape(leaf) else leaf
+
+    leaves = [chosen(jax.tree_util.keystr(path), leaf) for path, leaf in places]
+    return jax.tree.unflatten(jax.tree.structure(after), leaves)
 
 
 Settings = ParamSpec("Settings")
@@ -134,13 +167,35 @@ def remembered(build: Callable[Settings, Physics]) -> Callable[Settings, Physics
         physics = build(*args, **kwargs)
         given = inspect.signature(build).bind(*args, **kwargs)
         given.apply_defaults()
-        return physics._replace(origin=Origin(built, given.arguments, f"pgrssnn_jax.physics.{build.__name__}"))
+        target = f"pgrssnn_jax.physics.{build.__name__}"
+        return physics._replace(origin=Origin(built, given.arguments, target, build))
 
     return built
 
 
 def is_parameter(leaf: object) -> bool:
     return isinstance(leaf, Parameter)
+
+
+def extended(physics: Physics, points: Any, assemble: Callable[[Any], tuple[Step, Measure]]) -> Physics:
+    """The physics whose step and measurement are assembled from extension points."""
+    made = assemble(points)
+    return physics._replace(step=made[0], measure=made[1], extension=Extension(points, assemble, made))
+
+
+def extension_of(physics: Physics) -> Extension | None:
+    """Extension points of the physics; None where it has none, or where step or measurement were replaced since they
+    were assembled, which assembling them again would undo."""
+    known = physics.extension
+    return known if known and known.made[0] is physics.step and known.made[1] is physics.measure else None
+
+
+def measured_rate(physics: Physics, state: Signal) -> str | None:
+    """The output whose time derivative a state is: the one that `rate_of` names, or that the state of this name is
+    `like`; None where it is no rate, or that of something that is not measured."""
+    if any(output.name == state.rate_of for output in physics.outputs):
+        return state.rate_of
+    return next((other.like for other in physics.states if other.name == state.rate_of), None)
 
 
 def discrete(
@@ -163,7 +218,7 @@ def discrete(
     """A `Physics` from x_t = step(params, x_{t-1}, u_t). reads: the old spelling of `output_timing`.
 
     Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
-    output that does not exist, or when `dt` is not positive.
+    output (or is the rate of an output or state) that does not exist, or when `dt` is not positive.
     """
     if reads is not None:
         warnings.warn("physics: 'reads' is now called 'output_timing'", FutureWarning, stacklevel=2)
@@ -188,12 +243,13 @@ def discrete(
         raise ValueError(
             f"physics {name!r}: output_timing: expected after_step or before_step, found {output_timing!r}"
         )
-    known = {signal.name for signal in outputs}
+    measured = {signal.name for signal in outputs}
     for state in states:
-        for other in (state.like, state.rate_of):
+        others = measured | {signal.name for signal in states if signal is not state}
+        for kind, other, known in (("like", state.like, measured), ("rate_of", state.rate_of, others)):
             if other is not None and other not in known:
                 raise ValueError(
-                    f"physics {name!r}: state {state.name!r}: expected like one of {sorted(known)}, found {other!r}"
+                    f"physics {name!r}: state {state.name!r}: expected {kind} one of {sorted(known)}, found {other!r}"
                 )
     if not dt > 0:
         raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
@@ -234,7 +290,7 @@ def continuous(
     def build(integrator: Integrator | str, sub_steps: int) -> Physics:
         step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
         return discrete(name, step, measure, params, dt=dt, **signals)._replace(
-            origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps})
+            origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps}, source=derivative)
         )
 
     return build(integrator, sub_steps)

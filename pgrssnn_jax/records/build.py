@@ -23,9 +23,9 @@ def record_from(
 
     u `[time, input]` or `[sequence, time, input]`, or a list of sequences `[time, input]` of any length; y likewise.
     inputs, outputs: name and unit of every channel, in the order of the columns. NaN in y, or False in mask (the shape
-    of y), stands for a sample that was not measured. start: what is known of the initial state: `unknown`, `rest` (zero),
-    or `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for a value of u that
-    is not finite, and for a dt that is not positive.
+    of y), stands for a sample that was not measured. start: what is known of the initial state: `unknown`, `rest`, that
+    is zero, or `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for a value
+    of u that is not finite, and for a dt that is not positive.
     """
     if not dt > 0:
         raise ValueError(f"record: dt: expected a positive sample time in seconds, found {dt}")
@@ -41,10 +41,9 @@ def record_from(
         raise ValueError(f"record: u and y: expected sequences of equal lengths, found {lengths[0]} and {lengths[1]}")
     longest = max(lengths[0])
     measured = [m.astype(bool) & np.isfinite(one) for m, one in zip(masks, ys, strict=True)]
-    info = RecordInfo(
-        *(tuple(Channel(str(name), unit) for name, unit in named.items()) for named in (inputs, outputs)),
-        float(dt), "record", "arrays in memory", padded=min(lengths[0]) < longest, start=start,
-    )  # fmt: skip
+    names_u, names_y = (tuple(Channel(str(name), unit) for name, unit in named.items()) for named in (inputs, outputs))
+    padded = min(lengths[0]) < longest
+    info = RecordInfo(names_u, names_y, float(dt), "record", "arrays in memory", padded=padded, start=start)
     u, y = (np.stack([_padded(one, longest) for one in part]) for part in (us, ys))
     return record(u, y, info, np.stack([_padded(one, longest, False) for one in measured]))
 

@@ -62,7 +62,12 @@ class Discovered:
     def effects(self) -> list[FoundEffect]:
         return [
             FoundEffect(
-                *(effect[key] for key in ("name", "title", "equation", "parameters", "region", "p_value")),
+                effect["name"],
+                effect["title"],
+                effect["equation"],
+                effect["parameters"],
+                effect["region"],
+                effect["p_value"],
                 tuple(effect.get("joints", ())),
             )
             for effect in self.details["effects"]

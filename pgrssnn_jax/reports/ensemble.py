@@ -20,15 +20,8 @@ from pgrssnn_jax.training import evaluation
 from pgrssnn_jax.training.evaluation import Trained
 from pgrssnn_jax.training.loop import Losses
 from pgrssnn_jax.training.members import select
-from pgrssnn_jax.training.plan import member_tests
+from pgrssnn_jax.training.plan import Plan, member_tests
 from pgrssnn_jax.training.settings import TrainingSettings
-
-
-class Validated(NamedTuple):
-    """Measured validation records of the members `[member, seq, time, y]`, and what was predicted on them."""
-
-    record: Record
-    predicted: np.ndarray
 
 
 class Evaluated(NamedTuple):
@@ -53,13 +46,13 @@ class Ensemble:
         *,
         n_train: int,
         seconds: Mapping[str, float],
-        validated: Validated | None = None,
+        plan: Plan | None = None,
         labels: Mapping[str, str | None] | None = None,
     ) -> None:
-        """info: of the training record; n_train: samples per training sequence; validated: None after loading;
-        labels: names of the configuration's files."""
+        """info: of the training record; n_train: samples per training sequence; plan: with the data of training, None
+        after loading; labels: names of the configuration's files."""
         self.settings, self.trained, self.losses, self.info = settings, trained, losses, info
-        self.n_train, self.seconds, self.validated, self.labels = n_train, dict(seconds), validated, labels or {}
+        self.n_train, self.seconds, self.plan, self.labels = n_train, dict(seconds), plan, labels or {}
         self._evaluated: Evaluated | None = None
 
     @property
@@ -116,8 +109,9 @@ class Ensemble:
         """The figures of `metrics.json` and the arrays of `predictions.npz` on a test record."""
         trained, wanted = self.trained, self.settings.run.report_n_init
         tests = member_tests(trained.objective, trained.members, trained.units, wanted, test)
-        predictions = evaluation.predict(trained, tests.record)
-        rows = evaluation.member_rows(trained, tests, predictions, *(self.validated or ()))
+        plan = self.plan
+        predictions, validated = evaluation.predict(trained, tests.record, plan and plan.data)
+        rows = evaluation.member_rows(trained, tests, predictions, plan and plan.validation, validated)
         mean, deviation = evaluation.ensemble(rows, tests.measured, predictions)
         info, measured = test.info, tests.measured
         metrics = {

@@ -68,8 +68,8 @@ def load(
         start = np.full((count, len(chosen.states)), np.nan)
     mapping = member_mapping(settings.members, count, 1, accelerate=settings.run.accelerate)
     trained = Trained(fit.objective, mapping, members, found.state, found.scaling, found.units, start)
-    channels = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
-    info = RecordInfo(*channels, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
+    inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
+    info = RecordInfo(inputs, outputs, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
     return Ensemble(
         settings, trained, found.losses, info, n_train=metrics.get("n_train", 0), seconds=metrics.get("seconds", {})
     )

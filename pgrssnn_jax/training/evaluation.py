@@ -14,7 +14,7 @@ from pgrssnn_jax.records.record import Array, Record, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
 from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.metrics import all_metrics, rmse
-from pgrssnn_jax.training.objective import Objective
+from pgrssnn_jax.training.objective import MemberData, Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
 from pgrssnn_jax.training.plan import MemberTests, Plan
 
@@ -56,16 +56,26 @@ def trained_members(plan: Plan, state: MemberState) -> Trained:
     )
 
 
-def predict(trained: Trained, test: Record) -> Predictions:
-    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in."""
+def predict(trained: Trained, test: Record, data: MemberData | None = None) -> tuple[Predictions, np.ndarray | None]:
+    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in; beside
+    it the outputs on the validation records, where the data of training are at hand, in one program."""
 
-    def one(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
+    def on_test(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
         x0 = trained.objective.test_state(state.best, scaling, start, test)
         return *_free_run(trained.objective, state, scaling, test.u, x0, valid_mask(test)), x0
 
-    start = trained.start.astype(np.float32)
-    y, finite, x0 = jit_members(one, trained.mapping)(trained.state, trained.scaling, start, test)
-    return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0))
+    def on_both(state: MemberState, data: MemberData, test: Record) -> tuple[Array, ...]:
+        start = trained.objective.trained_start(state.best, data)
+        return *on_test(state, data.scaling, start, test), trained.objective.validate(state.best, data).y
+
+    if data is not None:
+        y, finite, x0, aside = jit_members(on_both, trained.mapping)(trained.state, data, test)
+        validated = _measured(aside, trained.units)
+    else:
+        start = trained.start.astype(np.float32)
+        y, finite, x0 = jit_members(on_test, trained.mapping)(trained.state, trained.scaling, start, test)
+        validated = None
+    return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0)), validated
 
 
 def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions:
@@ -77,12 +87,6 @@ def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions
     start = jnp.asarray(x0, jnp.float32)
     y, finite = jit_members(one, trained.mapping)(trained.state, trained.scaling, trained.units, start)
     return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0))
-
-
-def predict_validation(plan: Plan, state: MemberState) -> np.ndarray:
-    """Outputs `[member, seq, time, y]` on the validation records, in measured units."""
-    run = jit_members(lambda s, d: plan.fit.objective.validate(s.best, d).y, plan.mapping)
-    return _measured(run(state, plan.data), plan.units)
 
 
 def _free_run(

@@ -146,7 +146,7 @@ class Objective(NamedTuple):
     def _predicted(self, params: ModelParams, record: Record, x0: jax.Array) -> Trajectory:
         return rollout(self.model, params, record.u, x0, route=self.route, valid=valid_mask(record))
 
-    def _penalty(self, params: ModelParams, record: Record, x: jax.Array) -> Float[jax.Array, ""]:
+    def _penalty(self, params: ModelParams, record: Record, x: Array) -> Float[jax.Array, ""]:
         """The weighted regularisation of a fed-back model that predicts the states x `[seq, time, x]` of a record."""
         networks, u = self.model.networks(params), record.u
         if networks is None:

@@ -83,7 +83,7 @@ def test_a_hidden_effect_is_named_with_its_numbers_on_every_joint(crane, name, e
     assert found.judged.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     params = crane[1].params(found.found.final.estimate.theta)
     for key, values in numbers.items():
-        np.testing.assert_allclose(params[name][key], values, rtol=0.15, atol=0.01)
+        np.testing.assert_allclose(params.effects[name][key], values, rtol=0.15, atol=0.01)
     assert found.test.after.error < 0.5 * found.test.before.error
 
 

@@ -38,9 +38,9 @@ def read(tmp_path, found, group=GROUP):
 
 def test_it_has_the_numbers_and_the_start_that_were_found(tmp_path):
     physics = read(tmp_path, FOUND)
-    assert {name: float(physics.params[name]) for name in NUMBERS} == NUMBERS
-    assert physics.params["overflow_lost"]["level"] == 6.5
-    assert physics.params["pump_saturation"]["voltage"] == np.inf
+    assert {name: float(physics.params.own[name]) for name in NUMBERS} == NUMBERS
+    assert physics.params.effects["overflow_lost"]["level"] == 6.5
+    assert physics.params.effects["pump_saturation"]["voltage"] == np.inf
     assert [state.start for state in physics.states] == [3.0, 2.5]
     assert "overflow_lost, pump_saturation" in physics.remark
 

@@ -183,6 +183,6 @@ def test_solve_is_that_of_lapack(n):
 def test_problem_places_every_number(problem):
     assert {s.label for s in problem.slots if s.effect is None} == set(PUBLISHED)
     theta = problem.put(problem.theta, "sensor_offset", {"offset": np.array([0.25])})
-    assert problem.params(theta)["sensor_offset"]["offset"] == [0.25]
-    assert float(problem.params(theta)["k1"]) == pytest.approx(PUBLISHED["k1"])
+    assert problem.params(theta).effects["sensor_offset"]["offset"] == [0.25]
+    assert float(problem.params(theta).own["k1"]) == pytest.approx(PUBLISHED["k1"])
     assert [problem.slots[i].label for i in problem.of("leak_tank1")] == ["leak_tank1.rate"]

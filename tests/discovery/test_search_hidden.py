@@ -55,8 +55,8 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else():
         assert found.final.cost < 1.5 * found.floor
         params = problem.params(found.final.estimate.theta)
         for key, value in numbers.items():
-            assert float(params[name][key]) == pytest.approx(value, rel=0.03)
-        assert float(params["k1"]) == pytest.approx(TRUE["k1"], rel=0.05)
+            assert float(params.effects[name][key]) == pytest.approx(value, rel=0.03)
+        assert float(params.own["k1"]) == pytest.approx(TRUE["k1"], rel=0.05)
 
 
 def assert_a_look_comes_back_from_a_stray_start(problem, data, start, settings, examine):

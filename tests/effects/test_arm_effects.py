@@ -324,7 +324,7 @@ def run_of(physics: Physics):
     x0, u = np.concatenate([np.full(6, 0.05), np.full(6, 0.3)]), np.linspace(0.5, 1.5, 18).reshape(3, 6)
 
     def run(numbers):
-        params = {**physics.params, **numbers}
+        params = physics.params._replace(effects=numbers)
 
         def body(x, u_t):
             x = physics.step(params, x, u_t)
@@ -338,7 +338,7 @@ def run_of(physics: Physics):
 def everything(**settings: Any) -> tuple[Physics, dict[str, Any]]:
     physics = arm(dt=0.05, integrator="euler", **settings)
     physics = add(physics, *arm_effects(physics), numbers=NUMBERS)
-    return physics, {name: jax.tree.map(jnp.asarray, physics.params[name]) for name in sorted(NAMES)}
+    return physics, {name: jax.tree.map(jnp.asarray, physics.params.effects[name]) for name in sorted(NAMES)}
 
 
 def test_derivatives_by_all_numbers_are_those_of_finite_differences_in_both_modes():
@@ -365,7 +365,7 @@ def test_derivatives_by_all_numbers_are_those_of_finite_differences_in_both_mode
 def test_derivatives_at_neutral_numbers_are_finite():
     physics = arm(derivatives="forward")
     physics = add(physics, *arm_effects(physics))
-    numbers = {name: jax.tree.map(jnp.asarray, physics.params[name]) for name in sorted(NAMES)}
+    numbers = {name: jax.tree.map(jnp.asarray, physics.params.effects[name]) for name in sorted(NAMES)}
     found = quick_jit(jax.jacfwd(run_of(physics)))(numbers)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
     for name in NAMES - {"joint_limit", "stiction", "gravity_counterbalance", "payload", "stribeck_friction"}:

@@ -93,7 +93,7 @@ def test_the_whole_catalogue_with_neutral_numbers_changes_nothing(system):
 def test_the_numbers_of_an_effect_are_what_it_says(system, name):
     physics, one = SYSTEMS[system](), effect(system, name)
     whole = add(physics, one)
-    assert set(whole.params[name]) == set(whole.parameters[name]) == set(one.parameters)
+    assert set(whole.params.effects[name]) == set(whole.parameters.effects[name]) == set(one.parameters)
     assert set(one.shapes) <= set(one.parameters)
     assert one.acts_on in ("input", "dynamics", "measurement")
     assert one.title
@@ -103,7 +103,7 @@ def test_the_numbers_of_an_effect_are_what_it_says(system, name):
         low, high = meaning.bounds
         assert meaning.neutral is not None
         assert low <= meaning.neutral <= high
-        assert np.all(whole.params[name][key] == meaning.neutral)
+        assert np.all(whole.params.effects[name][key] == meaning.neutral)
     starts = one.initial_guesses(signal_range_of(physics))
     assert starts
     for start in starts:

@@ -125,7 +125,11 @@ def test_memories_say_which_input_they_hold():
 def test_a_lag_has_a_finite_slope_where_there_is_none():
     physics = changed("input_lag", {})
     x, u = jnp.concatenate([X0, U[0]]), jnp.asarray(U[1])
-    slope = jax.jacfwd(lambda tau: physics.step({**physics.params, "input_lag": {"time_constant": tau}}, x, u))(0.0)
+
+    def of(tau):
+        return physics.params._replace(effects={"input_lag": {"time_constant": tau}})
+
+    slope = jax.jacfwd(lambda tau: physics.step(of(tau), x, u))(0.0)
     assert np.isfinite(slope).all()
 
 

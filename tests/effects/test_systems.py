@@ -84,21 +84,25 @@ def test_null_in_a_file_is_no_limit():
         toy_physics(),
         {"input_saturation": {"low": [None, -1.0], "high": [2.0, None]}, "sensor_saturation": {"low": [None, None]}},
     )
-    np.testing.assert_array_equal(physics.params["input_saturation"]["low"], [-np.inf, -1.0])
-    np.testing.assert_array_equal(physics.params["input_saturation"]["high"], [2.0, np.inf])
-    np.testing.assert_array_equal(physics.params["sensor_saturation"]["low"], [-np.inf, -np.inf])
-    np.testing.assert_array_equal(physics.params["sensor_saturation"]["high"], [np.inf, np.inf])
+    np.testing.assert_array_equal(physics.params.effects["input_saturation"]["low"], [-np.inf, -1.0])
+    np.testing.assert_array_equal(physics.params.effects["input_saturation"]["high"], [2.0, np.inf])
+    np.testing.assert_array_equal(physics.params.effects["sensor_saturation"]["low"], [-np.inf, -np.inf])
+    np.testing.assert_array_equal(physics.params.effects["sensor_saturation"]["high"], [np.inf, np.inf])
     tanks = add_named(cascaded_tanks(), {"overflow_lost": {"level": None}, "pump_saturation": {"voltage": 3}})
-    assert tanks.params["overflow_lost"]["level"] == np.inf
-    assert tanks.params["pump_saturation"]["voltage"] == 3.0
-    assert tanks.params["pump_saturation"]["voltage"].dtype == np.float64
+    assert tanks.params.effects["overflow_lost"]["level"] == np.inf
+    assert tanks.params.effects["pump_saturation"]["voltage"] == 3.0
+    assert tanks.params.effects["pump_saturation"]["voltage"].dtype == np.float64
 
 
 def test_named_effects_come_in_the_catalogues_order_whatever_the_files():
     given = {"sensor_offset": {"offset": [0.1]}, "input_delay": {"delay": 4.0}, "leak_tank1": {"rate": 0.001}}
     one, other = (add_named(cascaded_tanks(), numbers) for numbers in (given, dict(reversed(given.items()))))
     order = [name for name in names(cascaded_tanks()) if name in given]
-    assert [name for name in one.params if name in given] == [name for name in other.params if name in given] == order
+    assert (
+        [name for name in one.params.effects if name in given]
+        == [name for name in other.params.effects if name in given]
+        == order
+    )
 
 
 def test_named_numbers_are_checked():

@@ -7,8 +7,7 @@ x = [q, q̇] in rad and rad/s; u: motor torque, Nm on the motor side; G: gear ra
 (Nm) friction on the motor side, none at standstill; θ: torque bias on the link side, Nm; S: the published disturbance
 of the velocities. Source: Li, Seth, Kok, IFAC 2026, section 4.3, and the released code.
 
-An arm looks in its parameters for the numbers of effects (`pgrssnn_jax.effects.arm`) by their names: torques in
-`torques.py`, what changes the moving masses in `changed.py`, what happens after the step in `stops.py`.
+Effects enter at the extension points of `points.py`.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,14 +20,13 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms import jax_dynamics, pinocchio_dynamics
-from pgrssnn_jax.physics.arms.changed import extra
+from pgrssnn_jax.physics.arms.chain import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import Derivatives, ForwardDynamics
 from pgrssnn_jax.physics.arms.kinematics import skeleton
-from pgrssnn_jax.physics.arms.stops import stopped_joints, stuck_joints
+from pgrssnn_jax.physics.arms.points import ArmPoints, own_points
 from pgrssnn_jax.physics.arms.tables import ArmTables, described
-from pgrssnn_jax.physics.arms.torques import link_torques
 from pgrssnn_jax.physics.arms.urdf import read_urdf
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, discrete, remembered
+from pgrssnn_jax.physics.base import Measure, Parameter, Physics, Signal, Step, discrete, extended, remembered
 from pgrssnn_jax.physics.integrate import zero_order_hold
 
 PerJoint = float | Sequence[float] | np.ndarray | None
@@ -118,12 +116,18 @@ def arm(
     for symbol, (name, value) in disturbances.items():
         if value is not None:
             params[symbol] = per_joint(name, value, tables)
-    derivative = _derivative(tables, BACKENDS[backend](tables, derivatives))
-    advance = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
-    return discrete(
+    accelerations = BACKENDS[backend](tables, derivatives)
+
+    def assemble(points: ArmPoints) -> tuple[Step, Measure]:
+        derivative = _derivative(points, accelerations)
+        advance = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
+        step = _step(points, advance, tables, limits=limits, stopped=physics_gradient == "stopped")
+        return step, points.measure
+
+    points = own_points(tables.gravity, masses=backend == "jax", measured=measured)
+    physics = discrete(
         "arm",
-        _step(advance, tables, limits=limits, stopped=physics_gradient == "stopped"),
-        _positions if measured else _nothing,
+        *assemble(points),
         params,
         parameters={name: _MEANINGS[name] for name in params},
         states=_states(tables.n),
@@ -134,6 +138,7 @@ def arm(
         remark="" if urdf is None else _numbered(tables),
         differentiable=physics_gradient == "full",
     )
+    return extended(physics, points, assemble)
 
 
 def per_joint(name: str, value: Any, tables: ArmTables) -> Float[np.ndarray, " n"]:
@@ -171,18 +176,17 @@ def _check_limits(tables: ArmTables) -> None:
             raise ValueError(f"physics.velocity_max: expected more than 0 rad/s at {name}, found {fastest:g}")
 
 
-def _derivative(tables: ArmTables, accelerations: ForwardDynamics) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
+def _derivative(points: ArmPoints, accelerations: ForwardDynamics) -> Step:
     def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
         """d[q, q̇]/dt."""
         q, v = jnp.split(x, 2)
-        return jnp.concatenate([v, accelerations(q, v, link_torques(p, q, v, u), extra(tables, p))])
+        extra = points.masses(p) if points.masses else Extra()
+        return jnp.concatenate([v, accelerations(q, v, points.torque(p, q, v, points.drive(p, u)), extra)])
 
     return derivative
 
 
-def _step(
-    advance: Callable[[Any, jax.Array, jax.Array], jax.Array], tables: ArmTables, *, limits: bool, stopped: bool
-) -> Callable[[Any, jax.Array, jax.Array], jax.Array]:
+def _step(points: ArmPoints, advance: Step, tables: ArmTables, *, limits: bool, stopped: bool) -> Step:
     low = np.concatenate([tables.position_min, -tables.velocity_max])
     high = np.concatenate([tables.position_max, tables.velocity_max])
 
@@ -193,22 +197,9 @@ def _step(
         new = advance(p_held, x_held, u_held)
         if limits:
             new = jnp.clip(new, jnp.asarray(low, x.dtype), jnp.asarray(high, x.dtype))
-        new = stuck_joints(p_held, stopped_joints(p_held, new))
-        if "S" in p:
-            new = new.at[tables.n :].add(p["S"] * x[tables.n :])
-        if "velocity_disturbance" in p:
-            new = new.at[tables.n :].add(p["velocity_disturbance"]["S"] * x[tables.n :])
-        return new
+        return points.disturbance(p, x, points.stop(p_held, new))
 
     return step
-
-
-def _positions(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " y"]:
-    return x[: len(u)]
-
-
-def _nothing(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " y"]:
-    return jnp.zeros_like(x[: len(u)])
 
 
 def _states(n: int) -> tuple[Signal, ...]:

@@ -8,8 +8,8 @@ import pytest
 from arm_samples import KUKA, OBLIQUE, TREE, accelerations, published, states, urdf
 from toys import quick_jit
 
+from pgrssnn_jax.effects.arm_masses import tilted
 from pgrssnn_jax.physics.arms.chain import Extra
-from pgrssnn_jax.physics.arms.changed import tilted
 from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics, inverse_dynamics
 from pgrssnn_jax.physics.arms.pinocchio_dynamics import forward_dynamics as pinocchios
 from pgrssnn_jax.physics.arms.tables import pinocchio_model

@@ -1,0 +1,38 @@
+"""What the effects of an arm have in common: which arms can take them, and where their fits begin."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from pgrssnn_jax.effects.base import Needs, Numbers, SignalRange
+from pgrssnn_jax.physics.arms.points import ArmPoints
+from pgrssnn_jax.physics.base import Parameter, Physics, extension_of
+
+INFINITE = float("inf")
+
+
+def points_of(physics: Physics) -> ArmPoints | None:
+    """The extension points of an arm; None for what is none."""
+    known = extension_of(physics)
+    return known.points if known and isinstance(known.points, ArmPoints) else None
+
+
+def an_arm(n: int | None = None, *, masses: bool = False) -> Needs:
+    """n: number of joints, None: any. masses: the effect changes those that the arm moves."""
+
+    def met(physics: Physics) -> bool:
+        points = points_of(physics)
+        return points is not None and n in (None, len(physics.inputs)) and not (masses and points.masses is None)
+
+    joints = "" if n is None else f" of {n} joint{'s' if n > 1 else ''}"
+    return Needs(f"an arm{joints}{' with backend=jax' if masses else ''}", met)
+
+
+def at_neutral(parameters: Mapping[str, Parameter], n: int) -> Callable[[SignalRange], Sequence[Numbers]]:
+    """Where the torque is linear in the numbers, a fit may begin at none."""
+    return lambda span: [{name: np.full(n, p.neutral, np.float64) for name, p in parameters.items()}]
+
+
+def largest(span: np.ndarray, first: int = 0) -> np.ndarray:
+    """Largest absolute value of every channel from the first one named."""
+    return np.maximum(np.abs(span[:, first:]).max(0), 1e-12)

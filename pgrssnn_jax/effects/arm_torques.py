@@ -1,0 +1,198 @@
+"""Effects on what turns the joints of an arm besides its weight, on the link side.
+
+    τ = C (g G u) + ...                                                      what the motors deliver
+        + θ - G² B q̇ - |G| Tc tanh(q̇/v0) - |G| Ts e^{-(q̇/v_s)²} tanh(q̇/v0)    bias, and friction beside the known one
+        - k sin(q₂ - φ)                                                      counterbalance of the second joint
+
+u: motor torque, Nm; G: gear ratio; B (Nm s), Tc, Ts (Nm): on the motor side; θ, k: Nm on the link side. v0 is small
+and fixed: a tanh in place of a sign, so that a fit sees the friction of a joint that turns. C: the last motors of a
+wrist drive the joints before them as well, c45 being the part of motor 5 that joint 4 feels:
+C = 1 + c45 e₄e₅ᵀ + c46 e₄e₆ᵀ + c56 e₅e₆ᵀ. Numbers are per joint unless said otherwise.
+Source of the friction: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994).
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgrssnn_jax.effects.arm_common import INFINITE, an_arm, at_neutral, largest
+from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_points
+from pgrssnn_jax.physics.arms.points import ArmPoints, Joints
+from pgrssnn_jax.physics.base import Parameter, Physics
+
+WRIST = 6  # joints of an arm whose last three are a wrist
+_STANDSTILL = 0.02  # rad/s, v0
+_PUSH = 0.05  # of the largest motor torque: where a fit of friction begins
+
+Wrap = Callable[[Physics], Physics]
+
+
+def _on_drive(name: str, change: Callable[[Any, Joints], Joints]) -> Wrap:
+    """drive ← change(n, drive), n: numbers of the effect."""
+
+    def changed(points: ArmPoints) -> ArmPoints:
+        return points._replace(drive=lambda p, u: change(p.effects[name], points.drive(p, u)))
+
+    return lambda physics: at_points(physics, changed)
+
+
+def _on_torque(name: str, added: Callable[[Any, jax.Array, Joints, Joints], Joints]) -> Wrap:
+    """τ ← τ + added(n, G, q, q̇), n: numbers of the effect."""
+
+    def changed(points: ArmPoints) -> ArmPoints:
+        def torque(p: Any, q: Joints, v: Joints, drive: Joints) -> Joints:
+            return points.torque(p, q, v, drive) + added(p.effects[name], p.own["G"], q, v)
+
+        return points._replace(torque=torque)
+
+    return lambda physics: at_points(physics, changed)
+
+
+def _coupled(n: Any, drive: Joints) -> Joints:
+    return drive.at[-3].add(n["c45"] * drive[-2] + n["c46"] * drive[-1]).at[-2].add(n["c56"] * drive[-1])
+
+
+def _balance(n: Any, gear: jax.Array, q: Joints, v: Joints) -> Joints:
+    second = min(1, len(q) - 1)
+    return jnp.zeros_like(q).at[second].add(-n["moment"] * jnp.sin(q[second] - n["angle"]))
+
+
+def _stribeck(n: Any, gear: jax.Array, q: Joints, v: Joints) -> Joints:
+    return -jnp.abs(gear) * n["torque"] * jnp.exp(-((v / n["speed"]) ** 2)) * jnp.tanh(v / _STANDSTILL)
+
+
+def torque_gain(n: int) -> Effect:
+    parameters = {"gain": Parameter("g", "", bounds=(0.05, 20.0), neutral=1.0)}
+    return Effect(
+        "torque_gain",
+        title="Gain of the motor torque",
+        equation="τ = g G u",
+        cause="a motor delivers more or less torque than its current says, or the gear loses some of it",
+        acts_on="input",
+        parameters=parameters,
+        initial_guesses=at_neutral(parameters, n),
+        wrap=_on_drive("torque_gain", lambda n, drive: n["gain"] * drive),
+        needs=an_arm(n),
+        shapes={"gain": (n,)},
+        channels="joint",
+    )
+
+
+def wrist_coupling() -> Effect:
+    names = ("c45", "c46", "c56")
+    return Effect(
+        "wrist_coupling",
+        title="Coupling of the wrist's motors",
+        equation="τ4 += c45 G5 u5 + c46 G6 u6,  τ5 += c56 G6 u6",
+        cause="the drives of the last joints run through the wrist, and their torque turns the joints before as well",
+        acts_on="input",
+        parameters={name: Parameter(name, "", bounds=(-2.0, 2.0), neutral=0.0) for name in names},
+        initial_guesses=lambda span: [{name: np.zeros(()) for name in names}],
+        wrap=_on_drive("wrist_coupling", _coupled),
+        needs=an_arm(WRIST),
+    )
+
+
+def torque_bias(n: int) -> Effect:
+    parameters = {"theta": Parameter("θ", "Nm", neutral=0.0)}
+    return Effect(
+        "torque_bias",
+        title="Constant torque",
+        equation="τ = G u + θ",
+        cause="a constant torque on the link side that the motors do not deliver",
+        acts_on="dynamics",
+        parameters=parameters,
+        initial_guesses=at_neutral(parameters, n),
+        wrap=_on_torque("torque_bias", lambda n, gear, q, v: n["theta"]),
+        needs=an_arm(n),
+        shapes={"theta": (n,)},
+        channels="joint",
+    )
+
+
+def gravity_counterbalance(n: int, gear: np.ndarray) -> Effect:
+    """gear: its size gives the fit a torque to begin with."""
+    joint = min(1, n - 1)
+
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        moment = 0.2 * gear[joint] * largest(span.u)[joint]
+        return [{"moment": np.asarray(moment), "angle": np.asarray(k * np.pi / 2)} for k in (0, 1, 2, -1)]
+
+    return Effect(
+        "gravity_counterbalance",
+        title="Counterbalance of the second joint",
+        equation="τ2 = ... - k sin(q2 - φ)",
+        cause="a spring or a weight bears part of the arm's weight at the second joint",
+        acts_on="dynamics",
+        parameters={
+            "moment": Parameter("k", "Nm", bounds=(0.0, INFINITE), neutral=0.0),
+            "angle": Parameter("φ", "rad", neutral=0.0),
+        },
+        initial_guesses=initial_guesses,
+        wrap=_on_torque("gravity_counterbalance", _balance),
+        needs=an_arm(n),
+    )
+
+
+def viscous_friction(n: int) -> Effect:
+    parameters = {"B": Parameter("B", "Nm s", bounds=(0.0, INFINITE), neutral=0.0)}
+    return Effect(
+        "viscous_friction",
+        title="More viscous friction",
+        equation="τ = ... - G² B q̇",
+        cause="lubricant and seals brake a joint in proportion to its speed, beyond what is known",
+        acts_on="dynamics",
+        parameters=parameters,
+        initial_guesses=at_neutral(parameters, n),
+        wrap=_on_torque("viscous_friction", lambda n, gear, q, v: -(gear**2) * n["B"] * v),
+        needs=an_arm(n),
+        shapes={"B": (n,)},
+        channels="joint",
+    )
+
+
+def coulomb_friction(n: int) -> Effect:
+    parameters = {"Tc": Parameter("Tc", "Nm", bounds=(0.0, INFINITE), neutral=0.0)}
+    return Effect(
+        "coulomb_friction",
+        title="More Coulomb friction",
+        equation="τ = ... - |G| Tc tanh(q̇ / 0.02 rad/s)",
+        cause="dry friction brakes a joint at any speed, beyond what is known",
+        acts_on="dynamics",
+        parameters=parameters,
+        initial_guesses=at_neutral(parameters, n),
+        wrap=_on_torque("coulomb_friction", lambda n, gear, q, v: -jnp.abs(gear) * n["Tc"] * jnp.tanh(v / _STANDSTILL)),
+        needs=an_arm(n),
+        shapes={"Tc": (n,)},
+        channels="joint",
+    )
+
+
+def stribeck_friction(n: int) -> Effect:
+    """One speed for all joints: it is poorly told by one joint alone."""
+
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        fastest = float(largest(span.x, n)[:n].max())
+        return [{"torque": _PUSH * largest(span.u)[:n], "speed": np.asarray(s * fastest)} for s in (0.03, 0.1, 0.3)]
+
+    return Effect(
+        "stribeck_friction",
+        title="Stribeck friction",
+        equation="τ = ... - |G| Ts exp(-(q̇ / v_s)²) tanh(q̇ / 0.02 rad/s)",
+        cause="a joint that starts to turn is braked more than one whose lubricant has built up a film",
+        acts_on="dynamics",
+        parameters={
+            "torque": Parameter("Ts", "Nm", bounds=(0.0, INFINITE), neutral=0.0),
+            "speed": Parameter("v_s", "rad/s", bounds=(1e-3, INFINITE), neutral=0.1),
+        },
+        initial_guesses=initial_guesses,
+        wrap=_on_torque("stribeck_friction", _stribeck),
+        needs=an_arm(n),
+        shapes={"torque": (n,)},
+        active=lambda p, x, u: (np.abs(x[:, n : 2 * n]) < 2 * p["speed"]).any(-1),
+        simpler=("coulomb_friction",),
+        channels="joint",
+    )

@@ -1,0 +1,72 @@
+"""What the step of an arm is made of, so that effects may enter it.
+
+    τ  = torque(q, q̇, drive(u))               own: drive G u, then τ = drive - G² B q̇ - |G| Tc sign(q̇) + θ
+    M(q) q̈ + h(q, q̇) = τ                      masses: what the arm has besides its tables, or in their place
+    q, q̇ ← stop(q, q̇)                         once the step is done and limited; own: nothing
+    q̇_t ← disturbance(q̇_{t-1}, q̇_t)           own: q̇_t + S q̇_{t-1}
+    y  = measure(q, q̇, u)                      own: q
+
+u: motor torque, Nm; G: gear ratio; B (Nm s), Tc (Nm): on the motor side, none at standstill; θ: Nm on the link side.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.physics.arms.chain import Extra
+
+Joints = Float[jax.Array, " n"]
+State = Float[jax.Array, " x"]
+
+
+class ArmPoints(NamedTuple):
+    """Extension points of an arm. p: the physics' params in the precision of the state; x = [q, q̇].
+
+    drive(p, u) -> Nm: torque of the motors on the link side; torque(p, q, q̇, drive) -> Nm: with all others on the link
+    side; masses(p) -> Extra, None where the moving masses are those of the tables whatever an effect says (Pinocchio);
+    stop(p, x) -> x; disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. gravity: of the tables, m/s², `[3]`.
+    """
+
+    drive: Callable[[Any, Joints], Joints]
+    torque: Callable[[Any, Joints, Joints, Joints], Joints]
+    masses: Callable[[Any], Extra] | None
+    stop: Callable[[Any, State], State]
+    disturbance: Callable[[Any, State, State], State]
+    measure: Callable[[Any, State, Joints], Joints]
+    gravity: Float[np.ndarray, "3"]
+
+
+def own_points(gravity: Float[np.ndarray, "3"], *, masses: bool, measured: bool) -> ArmPoints:
+    """The points of an arm without effects. masses: may effects change them? measured: false for y = 0."""
+    return ArmPoints(
+        drive=lambda p, u: p["G"] * u,
+        torque=_friction_and_bias,
+        masses=(lambda p: Extra()) if masses else None,
+        stop=lambda p, x: x,
+        disturbance=_known_disturbance,
+        measure=_positions if measured else _nothing,
+        gravity=gravity,
+    )
+
+
+def _friction_and_bias(p: Any, q: Joints, v: Joints, drive: Joints) -> Joints:
+    gear = p["G"]
+    tau = drive - (gear**2 * p["B"] * v + jnp.abs(gear) * p["Tc"] * jnp.sign(v))
+    return tau + p["theta"] if "theta" in p else tau
+
+
+def _known_disturbance(p: Any, x: State, new: State) -> State:
+    n = len(x) // 2
+    return new.at[n:].add(p["S"] * x[n:]) if "S" in p else new
+
+
+def _positions(p: Any, x: State, u: Joints) -> Joints:
+    return x[: len(u)]
+
+
+def _nothing(p: Any, x: State, u: Joints) -> Joints:
+    return jnp.zeros_like(x[: len(u)])
