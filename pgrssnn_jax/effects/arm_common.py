@@ -1,10 +1,11 @@
 """What the effects of an arm have in common: which arms can take them, and where their fits begin."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.effects.base import Needs, Numbers, SignalRange
+from pgrssnn_jax.effects.base import Effect, Needs, counted
 from pgrssnn_jax.physics.arms.points import ArmPoints
 from pgrssnn_jax.physics.base import Parameter, Physics, extension_of
 
@@ -24,13 +25,20 @@ def an_arm(n: int | None = None, *, masses: bool = False) -> Needs:
         points = points_of(physics)
         return points is not None and n in (None, len(physics.inputs)) and not (masses and points.masses is None)
 
-    joints = "" if n is None else f" of {n} joint{'s' if n > 1 else ''}"
+    joints = "" if n is None else f" of {counted(n, 'joint')}"
     return Needs(f"an arm{joints}{' with backend=jax' if masses else ''}", met)
 
 
-def at_neutral(parameters: Mapping[str, Parameter], n: int) -> Callable[[SignalRange], Sequence[Numbers]]:
-    """Where the torque is linear in the numbers, a fit may begin at none."""
-    return lambda span: [{name: np.full(n, p.neutral, np.float64) for name, p in parameters.items()}]
+def per_joint(n: int, parameters: Mapping[str, Parameter], **fields: Any) -> Effect:
+    """An effect with one number of each parameter per joint. A fit begins at none where the fields do not say
+    otherwise: the torque is linear in the numbers."""
+    of_joints = {
+        "shapes": dict.fromkeys(parameters, (n,)),
+        "initial_guesses": lambda span: [{name: np.full(n, p.neutral, float) for name, p in parameters.items()}],
+        "needs": an_arm(n),
+        "channels": "joint",
+    }
+    return Effect(**{"parameters": parameters, **of_joints, **fields})
 
 
 def largest(span: np.ndarray, first: int = 0) -> np.ndarray:

@@ -11,36 +11,26 @@ break loose: v_s is dt |G| Ts / M_jj for a breakaway torque Ts. A law in speed i
 torque that is steep at standstill makes an explicit step chatter.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.arm_common import INFINITE, an_arm, at_neutral, largest
-from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_points
-from pgrssnn_jax.physics.arms.points import ArmPoints, State
+from pgrssnn_jax.effects.arm_common import INFINITE, largest, per_joint
+from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point
+from pgrssnn_jax.physics.arms.points import State
 from pgrssnn_jax.physics.base import Parameter, Physics
 
 
-def _on_stop(name: str, change: Callable[[Any, State], State]) -> Callable[[Physics], Physics]:
-    """x ← change(n, x) once the step is done, n: numbers of the effect."""
-
-    def changed(points: ArmPoints) -> ArmPoints:
-        return points._replace(stop=lambda p, x: change(p.effects[name], points.stop(p, x)))
-
-    return lambda physics: at_points(physics, changed)
-
-
-def _stopped(n: Any, x: State) -> State:
+def _stopped(n: Any, own: Any, x: State, _: State) -> State:
     """The state with every joint that is beyond a stop held there."""
     (q, v), low, high = jnp.split(x, 2), n["lower"], n["upper"]
     into = ((q >= high) & (v > 0)) | ((q <= low) & (v < 0))
     return jnp.concatenate([jnp.clip(q, low, high), jnp.where(into, 0.0, v)])
 
 
-def _stuck(n: Any, x: State) -> State:
+def _stuck(n: Any, own: Any, x: State, _: State) -> State:
     """The state with slow joints slower."""
     (q, v), speed = jnp.split(x, 2), n["speed"]
     sticks = speed > 0
@@ -48,12 +38,9 @@ def _stuck(n: Any, x: State) -> State:
     return jnp.concatenate([q, jnp.where(sticks, -jnp.expm1(-(ratio**2)), 1.0) * v])
 
 
-def _disturbed(points: ArmPoints) -> ArmPoints:
-    def disturbance(p: Any, x: State, new: State) -> State:
-        n = len(x) // 2
-        return points.disturbance(p, x, new).at[n:].add(p.effects["velocity_disturbance"]["S"] * x[n:])
-
-    return points._replace(disturbance=disturbance)
+def _disturbed(n: Any, own: Any, new: State, x: State, _: State) -> State:
+    joints = len(x) // 2
+    return new.at[joints:].add(n["S"] * x[joints:])
 
 
 def joint_limit(n: int) -> Effect:
@@ -67,22 +54,19 @@ def joint_limit(n: int) -> Effect:
         q = x[:, :n]
         return ((q >= p["upper"] - 1e-6) | (q <= p["lower"] + 1e-6)).any(-1)
 
-    return Effect(
-        "joint_limit",
-        title="End stop of a joint",
-        equation="q_low ≤ q ≤ q_high, q̇ = 0 at the stop",
-        cause="a joint meets a mechanical stop inside its known range",
-        acts_on="dynamics",
-        parameters={
+    return per_joint(
+        n,
+        {
             "lower": Parameter("q_low", "rad", neutral=-INFINITE),
             "upper": Parameter("q_high", "rad", neutral=INFINITE),
         },
+        name="joint_limit",
+        title="End stop of a joint",
+        equation="q_low ≤ q ≤ q_high, q̇ = 0 at the stop",
+        cause="a joint meets a mechanical stop inside its known range",
         initial_guesses=initial_guesses,
-        wrap=_on_stop("joint_limit", _stopped),
-        needs=an_arm(n),
-        shapes={"lower": (n,), "upper": (n,)},
+        wrap=lambda physics: at_point(physics, "stop", "joint_limit", _stopped),
         active=active,
-        channels="joint",
     )
 
 
@@ -90,42 +74,34 @@ def stiction(n: int) -> Effect:
     def initial_guesses(span: SignalRange) -> list[Numbers]:
         return [{"speed": share * largest(span.x, n)[:n]} for share in (0.02, 0.1)]
 
-    return Effect(
-        "stiction",
+    return per_joint(
+        n,
+        {"speed": Parameter("v_s", "rad/s", bounds=(0.0, INFINITE), neutral=0.0)},
+        name="stiction",
         title="Stiction",
         equation="q̇ = q̇' (1 - exp(-(q̇' / v_s)²))",
         cause="a joint that stands still is held until the torque breaks it loose",
-        acts_on="dynamics",
-        parameters={"speed": Parameter("v_s", "rad/s", bounds=(0.0, INFINITE), neutral=0.0)},
         initial_guesses=initial_guesses,
-        wrap=_on_stop("stiction", _stuck),
-        needs=an_arm(n),
-        shapes={"speed": (n,)},
+        wrap=lambda physics: at_point(physics, "stop", "stiction", _stuck),
         active=lambda p, x, u: (np.abs(x[:, n : 2 * n]) < p["speed"]).any(-1),
-        channels="joint",
     )
 
 
 def velocity_disturbance(n: int) -> Effect:
-    parameters = {"S": Parameter("S", "", bounds=(-1.0, 1.0), neutral=0.0)}
-    return Effect(
-        "velocity_disturbance",
+    return per_joint(
+        n,
+        {"S": Parameter("S", "", bounds=(-1.0, 1.0), neutral=0.0)},
+        name="velocity_disturbance",
         title="Disturbance of the velocities",
         equation="q̇_t = q̇'_t + S q̇_{t-1}",
         cause="a joint keeps or loses a part of its speed in every sample, beyond what its masses and friction say",
-        acts_on="dynamics",
-        parameters=parameters,
-        initial_guesses=at_neutral(parameters, n),
-        wrap=lambda physics: at_points(physics, _disturbed),
-        needs=an_arm(n),
-        shapes={"S": (n,)},
-        channels="joint",
+        wrap=lambda physics: at_point(physics, "disturbance", "velocity_disturbance", _disturbed),
     )
 
 
 def home_offset(n: int) -> Effect:
     """The state holds what the encoders read, so that a record says where a run starts whatever the offset."""
-    name, parameters = "home_offset", {"offset": Parameter("b", "rad", bounds=(-np.pi, np.pi), neutral=0.0)}
+    name = "home_offset"
 
     def wrap(physics: Physics) -> Physics:
         def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
@@ -134,16 +110,13 @@ def home_offset(n: int) -> Effect:
 
         return physics._replace(step=step)
 
-    return Effect(
-        name,
+    return per_joint(
+        n,
+        {"offset": Parameter("b", "rad", bounds=(-np.pi, np.pi), neutral=0.0)},
+        name=name,
         title="Zero of the encoders",
         equation="y = q + b",
         cause="the position at which an encoder reads zero is not the one of the description",
         acts_on="measurement",
-        parameters=parameters,
-        initial_guesses=at_neutral(parameters, n),
         wrap=wrap,
-        needs=an_arm(n),
-        shapes={"offset": (n,)},
-        channels="joint",
     )

@@ -11,73 +11,53 @@ C = 1 + c45 e₄e₅ᵀ + c46 e₄e₆ᵀ + c56 e₅e₆ᵀ. Numbers are per joi
 Source of the friction: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994).
 """
 
-from collections.abc import Callable
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.arm_common import INFINITE, an_arm, at_neutral, largest
-from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_points
-from pgrssnn_jax.physics.arms.points import ArmPoints, Joints
-from pgrssnn_jax.physics.base import Parameter, Physics
+from pgrssnn_jax.effects.arm_common import INFINITE, an_arm, largest, per_joint
+from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point
+from pgrssnn_jax.physics.arms.points import Joints
+from pgrssnn_jax.physics.base import Parameter
 
 WRIST = 6  # joints of an arm whose last three are a wrist
 _STANDSTILL = 0.02  # rad/s, v0
 _PUSH = 0.05  # of the largest motor torque: where a fit of friction begins
 
-Wrap = Callable[[Physics], Physics]
 
-
-def _on_drive(name: str, change: Callable[[Any, Joints], Joints]) -> Wrap:
-    """drive ← change(n, drive), n: numbers of the effect."""
-
-    def changed(points: ArmPoints) -> ArmPoints:
-        return points._replace(drive=lambda p, u: change(p.effects[name], points.drive(p, u)))
-
-    return lambda physics: at_points(physics, changed)
-
-
-def _on_torque(name: str, added: Callable[[Any, jax.Array, Joints, Joints], Joints]) -> Wrap:
-    """τ ← τ + added(n, G, q, q̇), n: numbers of the effect."""
-
-    def changed(points: ArmPoints) -> ArmPoints:
-        def torque(p: Any, q: Joints, v: Joints, drive: Joints) -> Joints:
-            return points.torque(p, q, v, drive) + added(p.effects[name], p.own["G"], q, v)
-
-        return points._replace(torque=torque)
-
-    return lambda physics: at_points(physics, changed)
-
-
-def _coupled(n: Any, drive: Joints) -> Joints:
+def _coupled(n: Any, own: Any, drive: Joints, u: Joints) -> Joints:
     return drive.at[-3].add(n["c45"] * drive[-2] + n["c46"] * drive[-1]).at[-2].add(n["c56"] * drive[-1])
 
 
-def _balance(n: Any, gear: jax.Array, q: Joints, v: Joints) -> Joints:
+def _balanced(n: Any, own: Any, tau: Joints, q: Joints, *_: Joints) -> Joints:
     second = min(1, len(q) - 1)
-    return jnp.zeros_like(q).at[second].add(-n["moment"] * jnp.sin(q[second] - n["angle"]))
+    return tau.at[second].add(-n["moment"] * jnp.sin(q[second] - n["angle"]))
 
 
-def _stribeck(n: Any, gear: jax.Array, q: Joints, v: Joints) -> Joints:
-    return -jnp.abs(gear) * n["torque"] * jnp.exp(-((v / n["speed"]) ** 2)) * jnp.tanh(v / _STANDSTILL)
+def _viscous(n: Any, own: Any, tau: Joints, q: Joints, v: Joints, drive: Joints) -> Joints:
+    return tau - own["G"] ** 2 * n["B"] * v
+
+
+def _coulomb(n: Any, own: Any, tau: Joints, q: Joints, v: Joints, drive: Joints) -> Joints:
+    return tau - jnp.abs(own["G"]) * n["Tc"] * jnp.tanh(v / _STANDSTILL)
+
+
+def _stribeck(n: Any, own: Any, tau: Joints, q: Joints, v: Joints, drive: Joints) -> Joints:
+    slow = jnp.exp(-((v / n["speed"]) ** 2))
+    return tau - jnp.abs(own["G"]) * n["torque"] * slow * jnp.tanh(v / _STANDSTILL)
 
 
 def torque_gain(n: int) -> Effect:
-    parameters = {"gain": Parameter("g", "", bounds=(0.05, 20.0), neutral=1.0)}
-    return Effect(
-        "torque_gain",
+    return per_joint(
+        n,
+        {"gain": Parameter("g", "", bounds=(0.05, 20.0), neutral=1.0)},
+        name="torque_gain",
         title="Gain of the motor torque",
         equation="τ = g G u",
         cause="a motor delivers more or less torque than its current says, or the gear loses some of it",
         acts_on="input",
-        parameters=parameters,
-        initial_guesses=at_neutral(parameters, n),
-        wrap=_on_drive("torque_gain", lambda n, drive: n["gain"] * drive),
-        needs=an_arm(n),
-        shapes={"gain": (n,)},
-        channels="joint",
+        wrap=lambda physics: at_point(physics, "drive", "torque_gain", lambda n, own, drive, u: n["gain"] * drive),
     )
 
 
@@ -91,25 +71,20 @@ def wrist_coupling() -> Effect:
         acts_on="input",
         parameters={name: Parameter(name, "", bounds=(-2.0, 2.0), neutral=0.0) for name in names},
         initial_guesses=lambda span: [{name: np.zeros(()) for name in names}],
-        wrap=_on_drive("wrist_coupling", _coupled),
+        wrap=lambda physics: at_point(physics, "drive", "wrist_coupling", _coupled),
         needs=an_arm(WRIST),
     )
 
 
 def torque_bias(n: int) -> Effect:
-    parameters = {"theta": Parameter("θ", "Nm", neutral=0.0)}
-    return Effect(
-        "torque_bias",
+    return per_joint(
+        n,
+        {"theta": Parameter("θ", "Nm", neutral=0.0)},
+        name="torque_bias",
         title="Constant torque",
         equation="τ = G u + θ",
         cause="a constant torque on the link side that the motors do not deliver",
-        acts_on="dynamics",
-        parameters=parameters,
-        initial_guesses=at_neutral(parameters, n),
-        wrap=_on_torque("torque_bias", lambda n, gear, q, v: n["theta"]),
-        needs=an_arm(n),
-        shapes={"theta": (n,)},
-        channels="joint",
+        wrap=lambda physics: at_point(physics, "torque", "torque_bias", lambda n, own, tau, *_: tau + n["theta"]),
     )
 
 
@@ -126,48 +101,37 @@ def gravity_counterbalance(n: int, gear: np.ndarray) -> Effect:
         title="Counterbalance of the second joint",
         equation="τ2 = ... - k sin(q2 - φ)",
         cause="a spring or a weight bears part of the arm's weight at the second joint",
-        acts_on="dynamics",
         parameters={
             "moment": Parameter("k", "Nm", bounds=(0.0, INFINITE), neutral=0.0),
             "angle": Parameter("φ", "rad", neutral=0.0),
         },
         initial_guesses=initial_guesses,
-        wrap=_on_torque("gravity_counterbalance", _balance),
+        wrap=lambda physics: at_point(physics, "torque", "gravity_counterbalance", _balanced),
         needs=an_arm(n),
     )
 
 
 def viscous_friction(n: int) -> Effect:
-    parameters = {"B": Parameter("B", "Nm s", bounds=(0.0, INFINITE), neutral=0.0)}
-    return Effect(
-        "viscous_friction",
+    return per_joint(
+        n,
+        {"B": Parameter("B", "Nm s", bounds=(0.0, INFINITE), neutral=0.0)},
+        name="viscous_friction",
         title="More viscous friction",
         equation="τ = ... - G² B q̇",
         cause="lubricant and seals brake a joint in proportion to its speed, beyond what is known",
-        acts_on="dynamics",
-        parameters=parameters,
-        initial_guesses=at_neutral(parameters, n),
-        wrap=_on_torque("viscous_friction", lambda n, gear, q, v: -(gear**2) * n["B"] * v),
-        needs=an_arm(n),
-        shapes={"B": (n,)},
-        channels="joint",
+        wrap=lambda physics: at_point(physics, "torque", "viscous_friction", _viscous),
     )
 
 
 def coulomb_friction(n: int) -> Effect:
-    parameters = {"Tc": Parameter("Tc", "Nm", bounds=(0.0, INFINITE), neutral=0.0)}
-    return Effect(
-        "coulomb_friction",
+    return per_joint(
+        n,
+        {"Tc": Parameter("Tc", "Nm", bounds=(0.0, INFINITE), neutral=0.0)},
+        name="coulomb_friction",
         title="More Coulomb friction",
         equation="τ = ... - |G| Tc tanh(q̇ / 0.02 rad/s)",
         cause="dry friction brakes a joint at any speed, beyond what is known",
-        acts_on="dynamics",
-        parameters=parameters,
-        initial_guesses=at_neutral(parameters, n),
-        wrap=_on_torque("coulomb_friction", lambda n, gear, q, v: -jnp.abs(gear) * n["Tc"] * jnp.tanh(v / _STANDSTILL)),
-        needs=an_arm(n),
-        shapes={"Tc": (n,)},
-        channels="joint",
+        wrap=lambda physics: at_point(physics, "torque", "coulomb_friction", _coulomb),
     )
 
 
@@ -178,21 +142,19 @@ def stribeck_friction(n: int) -> Effect:
         fastest = float(largest(span.x, n)[:n].max())
         return [{"torque": _PUSH * largest(span.u)[:n], "speed": np.asarray(s * fastest)} for s in (0.03, 0.1, 0.3)]
 
-    return Effect(
-        "stribeck_friction",
-        title="Stribeck friction",
-        equation="τ = ... - |G| Ts exp(-(q̇ / v_s)²) tanh(q̇ / 0.02 rad/s)",
-        cause="a joint that starts to turn is braked more than one whose lubricant has built up a film",
-        acts_on="dynamics",
-        parameters={
+    return per_joint(
+        n,
+        {
             "torque": Parameter("Ts", "Nm", bounds=(0.0, INFINITE), neutral=0.0),
             "speed": Parameter("v_s", "rad/s", bounds=(1e-3, INFINITE), neutral=0.1),
         },
+        name="stribeck_friction",
+        title="Stribeck friction",
+        equation="τ = ... - |G| Ts exp(-(q̇ / v_s)²) tanh(q̇ / 0.02 rad/s)",
+        cause="a joint that starts to turn is braked more than one whose lubricant has built up a film",
         initial_guesses=initial_guesses,
-        wrap=_on_torque("stribeck_friction", _stribeck),
-        needs=an_arm(n),
+        wrap=lambda physics: at_point(physics, "torque", "stribeck_friction", _stribeck),
         shapes={"torque": (n,)},
         active=lambda p, x, u: (np.abs(x[:, n : 2 * n]) < 2 * p["speed"]).any(-1),
         simpler=("coulomb_friction",),
-        channels="joint",
     )

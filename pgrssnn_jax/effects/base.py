@@ -56,6 +56,10 @@ class Needs(NamedTuple):
     met: Callable[[Physics], bool]
 
 
+def counted(n: int, word: str) -> str:
+    return f"{n} {word}" if n == 1 else f"{n} {word}s"
+
+
 ANY_PHYSICS = Needs("any physics", lambda physics: True)
 
 
@@ -66,7 +70,7 @@ class Effect(NamedTuple):
 
     name, parameters (what its numbers mean, each with its neutral value) and wrap are essential. wrap: from a physics
     whose params are `WithEffects` to the physics with the effect, by `on_input`, `on_output`, `after_step`,
-    `with_memory`, `at_points`, or any other replacement of `step` and `measure` that calls those of the physics; its
+    `with_memory`, `at_point`, or any other replacement of `step` and `measure` that calls those of the physics; its
     functions find the effect's numbers in `p.effects[name]` and the physics' own ones in `p.own`.
 
     title, equation, cause: for people, one line each; acts_on: where it enters; shapes: of the parameters that are
@@ -202,14 +206,20 @@ def _wrapped(effect: Effect, inner: Physics) -> Physics:
     return wrapped._replace(extension=Extension(known.points, assemble, (wrapped.step, wrapped.measure)))
 
 
-def at_points(physics: Physics, change: Callable[[Any], Any]) -> Physics:
-    """points ← change(points): inside the step, where the physics has extension points (`Extension`).
+def at_point(physics: Physics, point: str, name: str, change: Callable[..., Any]) -> Physics:
+    """v ← change(n, own, v, *arguments) inside the step, v: what an extension point (`Extension`) gives for its
+    arguments; n: numbers of the effect, own: those of the physics.
 
-    Raises `ValueError` for a physics that has none."""
+    Raises `ValueError` for a physics without this point."""
     known = extension_of(physics)
-    if known is None:
-        raise ValueError(f"effects: expected a physics with extension points, found {physics.name!r}")
-    return extended(physics, change(known.points), known.assemble)
+    inner = getattr(known.points, point, None) if known else None
+    if known is None or inner is None:
+        raise ValueError(f"effects: {name}: expected an extension point {point!r}, found physics {physics.name!r}")
+
+    def changed(p: Any, *arguments: Any) -> Any:
+        return change(p.effects[name], p.own, inner(p, *arguments), *arguments)
+
+    return extended(physics, known.points._replace(**{point: changed}), known.assemble)
 
 
 def on_input(physics: Physics, name: str, change: Map) -> Physics:

@@ -4,14 +4,13 @@ feedthrough         y ← y + D u
 quadratic damping   x_t ← x_t - c |x_{t-1}| x_{t-1}        one c per state
 """
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, after_step, own_of
+from pgrssnn_jax.effects.base import Effect, Needs, after_step, counted, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.linear import times
 
@@ -21,15 +20,19 @@ def lgssm_effects(physics: Physics) -> tuple[Effect, ...]:
 
 
 def _linear(physics: Physics) -> Needs:
-    """The same matrices' shapes: one number per state, or per output and input."""
+    """Matrices of these shapes: the numbers are one per state, or per output and input."""
     shapes = {name: np.shape(own_of(physics.params)[name]) for name in "ABC"}
 
     def met(other: Physics) -> bool:
         own = own_of(other.params)
-        return isinstance(own, Mapping) and all(name in own and np.shape(own[name]) == shapes[name] for name in shapes)
+        return all(name in own and np.shape(own[name]) == shape for name, shape in shapes.items())
 
-    (n_x, n_u), n_y = shapes["B"], shapes["C"][0]
-    return Needs(f"a linear state-space model A, B, C of {n_x} states, {n_u} inputs and {n_y} outputs", met)
+    n_x, n_u, n_y = (
+        counted(shapes["B"][0], "state"),
+        counted(shapes["B"][1], "input"),
+        counted(shapes["C"][0], "output"),
+    )
+    return Needs(f"a linear state-space model A, B, C of {n_x}, {n_u} and {n_y}", met)
 
 
 def feedthrough(physics: Physics) -> Effect:
@@ -67,7 +70,6 @@ def quadratic_damping(physics: Physics) -> Effect:
         title="Quadratic damping",
         equation="x = A x' + B u - c |x'| x'",
         cause="drag that grows with the square of the speed",
-        acts_on="dynamics",
         parameters={"c": Parameter("c", neutral=0.0)},
         initial_guesses=lambda span: [{"c": np.full(n, value)} for value in (0.01, 0.05)],
         wrap=lambda inner: after_step(inner, name, change),

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, SignalRange, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, Needs, SignalRange, counted, on_input, on_output, with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 LONGEST_DELAY = 6  # samples that input_delay remembers
@@ -41,9 +41,9 @@ def any_system_effects(physics: Physics) -> tuple[Effect, ...]:
 
 def _channels(where: Where, physics: Physics) -> Needs:
     """As many inputs or outputs as those that the effect has numbers for."""
-    kind = "inputs" if where == "input" else "outputs"
-    n = len(getattr(physics, kind))
-    return Needs(f"{n} {kind if n > 1 else kind[:-1]}", lambda other: len(getattr(other, kind)) == n)
+    kind = "input" if where == "input" else "output"
+    n = len(getattr(physics, f"{kind}s"))
+    return Needs(counted(n, kind), lambda other: len(getattr(other, f"{kind}s")) == n)
 
 
 def _remembered(physics: Physics) -> Needs:

@@ -10,7 +10,7 @@ Flows that an effect adds act once per sample, at the mean of the levels before 
 they change let out in the meantime (errors of second order).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -48,8 +48,8 @@ def _tanks(dt: float | None = None) -> Needs:
 
     def met(physics: Physics) -> bool:
         own = own_of(physics.params)
-        known = isinstance(own, Mapping) and {"k1", "k2", "k3", "k4", "k5"} <= set(own)
-        return known and len(physics.states) >= 2 and len(physics.inputs) == 1 and dt in (None, physics.dt)
+        known = {"k1", "k2", "k3", "k4", "k5"} <= set(own) and len(physics.states) >= 2
+        return known and len(physics.inputs) == 1 and dt in (None, physics.dt)
 
     return Needs(words, met)
 
@@ -111,7 +111,6 @@ def overflow_1to2(dt: float) -> Effect:
         title="Overflow of the upper tank into the lower",
         equation="x1 ≤ L; x2 gains α times what spills",
         cause="the upper tank runs over its rim, and part of the water falls into the lower tank",
-        acts_on="dynamics",
         parameters={
             "level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE),
             "share": Parameter("α", "", bounds=(0.0, 1.0), neutral=1.0),
@@ -136,7 +135,6 @@ def overflow_lost(dt: float) -> Effect:
         title="Overflow of the upper tank, lost",
         equation="x1 ≤ L",
         cause="the upper tank runs over its rim, and the water leaves the system",
-        acts_on="dynamics",
         parameters={"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
         initial_guesses=_shares("level", "x", 0, (0.55, 0.75, 0.9)),
         wrap=lambda physics: after_step(physics, name, change),
@@ -152,7 +150,6 @@ def tank2_overflow() -> Effect:
         title="Overflow of the lower tank",
         equation="x2 ≤ L",
         cause="the lower tank runs over its rim",
-        acts_on="dynamics",
         parameters={"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
         initial_guesses=_shares("level", "x", 1, (0.65, 0.8, 0.93)),
         wrap=lambda physics: after_step(physics, name, lambda n, own, x, u, new: new.at[1].min(n["level"])),
@@ -236,7 +233,6 @@ def leak_tank1(dt: float) -> Effect:
         title="Leak of the upper tank",
         equation="dx1/dt = ... - r x1",
         cause="the upper tank loses water that does not reach the lower one",
-        acts_on="dynamics",
         parameters={"rate": Parameter("r", "1/s", bounds=(0.0, 0.1), neutral=0.0)},
         initial_guesses=lambda span: [{"rate": np.asarray(r)} for r in (0.001, 0.005)],
         wrap=lambda physics: after_step(physics, name, change),
@@ -261,7 +257,6 @@ def bypass(dt: float) -> Effect:
         title="Bypass of the upper tank",
         equation="a share β of k3 u flows into the lower tank",
         cause="part of the pump's flow misses the upper tank",
-        acts_on="dynamics",
         parameters={"share": Parameter("β", "", bounds=(0.0, 1.0), neutral=0.0)},
         initial_guesses=lambda span: [{"share": np.asarray(s)} for s in (0.05, 0.25)],
         wrap=wrap,
@@ -285,7 +280,6 @@ def outlet_exponent(dt: float) -> Effect:
         title="Outlet that is no sharp orifice",
         equation="outflow k4 x2^γ",
         cause="the outlet of the lower tank has a tube, or its flow is partly laminar",
-        acts_on="dynamics",
         parameters={"exponent": Parameter("γ", "", bounds=(0.1, 1.5), neutral=0.5)},
         initial_guesses=lambda span: [{"exponent": np.asarray(g)} for g in (0.4, 0.65)],
         wrap=lambda physics: after_step(physics, name, change),

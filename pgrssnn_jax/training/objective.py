@@ -55,7 +55,8 @@ class Loss(NamedTuple):
 
 
 class PhysicsUnits(NamedTuple):
-    """Trees of the shape of `Physics.params`: nominal value, size (|nominal|, or 1 at zero), bounds, may it move?"""
+    """Trees of the shape of `Physics.params`: nominal value, size (|nominal|, or 1 at zero), bounds, may it move? A
+    limit that is not there (infinite) does not."""
 
     nominal: Any
     size: Any
@@ -95,7 +96,9 @@ class Objective(NamedTuple):
         if theta.physics is None:
             return theta
         moved = jax.tree.map(
-            lambda z, p, s, lo, hi, free: jnp.clip(z, (lo - p) / s, (hi - p) / s) if free else jnp.zeros_like(z),
+            lambda z, p, s, lo, hi, free: jnp.where(
+                free & jnp.isfinite(p), jnp.clip(z, (lo - p) / s, (hi - p) / s), jnp.zeros_like(z)
+            ),
             theta.physics,
             *self.physics,
         )
@@ -182,7 +185,7 @@ def build_objective(
 
     units = PhysicsUnits(
         nominal,
-        size=jax.tree.map(lambda p: jnp.where(p == 0, 1.0, jnp.abs(p)), nominal),
+        size=jax.tree.map(lambda p: jnp.where((p == 0) | jnp.isinf(p), 1.0, jnp.abs(p)), nominal),
         low=meaning(lambda p: p.bounds[0]),
         high=meaning(lambda p: p.bounds[1]),
         free=meaning(lambda p: p.trainable),

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
 from pgrssnn_jax.effects.discovered import discovered_physics
+
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 TARGET = "pgrssnn_jax.physics.tanks.cascaded_tanks"

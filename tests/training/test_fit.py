@@ -11,6 +11,8 @@ import pytest
 from small import small_fit
 from toys import quick_jit
 
+from pgrssnn_jax.effects.base import add
+from pgrssnn_jax.effects.tanks import leak_tank1, pump_saturation
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Parameter
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -220,6 +222,27 @@ def test_physics_parameters_stay_within_their_bounds():
     # the data was made with 0.055 and 0.050, far outside: both end at the bound on that side
     np.testing.assert_allclose(found["k1"], narrow["k1"].bounds[1], rtol=1e-6)
     np.testing.assert_allclose(found["k4"], narrow["k4"].bounds[0], rtol=1e-6)
+
+
+def test_numbers_of_effects_are_trained_beside_those_of_the_physics():
+    """A leak of its true size is found from none, an absent limit stays absent, and k2 stays where it is held."""
+    names = ("leak_tank1", "pump_saturation")
+    truth = add(cascaded_tanks(), leak_tank1(4.0), numbers={"leak_tank1": {"rate": 0.02}})
+    start = add(cascaded_tanks(), leak_tank1(4.0), pump_saturation())
+    held = {name: Parameter(trainable=False) for name in start.params.own}
+    settings = FitSettings(
+        epochs=300, learning_rate=2e-3, optimizer="adam", chunk_epochs=100, physics_parameters="trained", patience=300
+    )
+    fit, data = small_fit(
+        spec=ModelSpec(networks=False), settings=settings, truth=truth, members=1, noise=0.0, samples=200,
+        physics=start._replace(parameters=start.parameters._replace(own=held)),
+    )  # fmt: skip
+    trained = run(fit, data)
+    found = fit.objective.assemble(select(trained.state.best, 0), select(data.scaling, 0)).physics
+    assert sorted(found.effects) == sorted(names)
+    assert abs(found.effects["leak_tank1"]["rate"] - 0.02) < 0.004
+    assert found.effects["pump_saturation"]["voltage"] == jnp.inf
+    assert found.own["k2"] == jnp.float32(start.params.own["k2"])
 
 
 def test_history_has_a_row_per_member_and_epoch_in_which_it_trained():

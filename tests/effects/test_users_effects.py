@@ -1,0 +1,130 @@
+"""Effects that a user writes, on a physics that the user wrote: added, simulated, differentiated."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_effect_contract import pendulum
+from toys import quick_jit
+
+import pgrssnn_jax.effects as effects
+from pgrssnn_jax.effects import Effect, Needs, add, add_effect, after_step, catalogue
+from pgrssnn_jax.effects.base import SignalRange, WithEffects
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.base import Parameter, check_physics
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+pytestmark = pytest.mark.usefixtures("x64")
+DT = 0.05
+SPAN = SignalRange(np.array([[-1.0, -2.0], [1.0, 2.0]]), np.array([[-1.0], [1.0]]), np.array([[-1.0], [1.0]]))
+
+
+def cubic_spring(**fields) -> Effect:
+    """q̈ = ... - k q³, as a change of speed in every sample."""
+
+    def pull(n, own, x, u, new):
+        return new.at[1].add(-DT * n["k"] * x[0] ** 3)
+
+    meaning = Parameter("k", "1/(s² rad²)", bounds=(0.0, 50.0), neutral=0.0)
+    return Effect("cubic_spring", {"k": meaning}, lambda physics: after_step(physics, "cubic_spring", pull), **fields)
+
+
+def simulate(physics, params, u, x0=(0.8, 0.0)):
+    def body(x, u_t):
+        x = physics.step(params, x, u_t)
+        return x, physics.measure(params, x, u_t)
+
+    return jax.lax.scan(body, jnp.asarray(x0), jnp.asarray(u))[1]
+
+
+def loop(k: float, u: np.ndarray) -> np.ndarray:
+    """The same in NumPy: RK4 of the pendulum, then the spring's change of speed."""
+
+    def f(x, v):
+        return np.array([x[1], -9.81 * np.sin(x[0]) - 0.1 * x[1] + v])
+
+    x, found = np.array([0.8, 0.0]), []
+    for (v,) in u:
+        k1 = f(x, v)
+        k2 = f(x + 0.5 * DT * k1, v)
+        k3 = f(x + 0.5 * DT * k2, v)
+        k4 = f(x + DT * k3, v)
+        x = x + DT / 6 * (k1 + 2 * k2 + 2 * k3 + k4) - np.array([0.0, DT * k * x[0] ** 3])
+        found.append(x[:1])
+    return np.array(found)
+
+
+U = np.sin(0.3 * np.arange(60))[:, None]
+
+
+def test_three_fields_make_an_effect():
+    changed = add(pendulum(), cubic_spring())
+    check_physics(changed, "here")
+    assert changed.params == WithEffects({"g": 9.81, "c": 0.1}, {"cubic_spring": {"k": 0.0}})
+    assert changed.parameters.effects["cubic_spring"]["k"].symbol == "k"
+    found = simulate(changed, jax.tree.map(jnp.asarray, changed.params), U)
+    np.testing.assert_array_equal(found, simulate(pendulum(), pendulum().params, U))
+
+
+def test_it_is_simulated_and_differentiated():
+    changed = add_effect(pendulum(), cubic_spring(), k=12.0)
+    params = jax.tree.map(jnp.asarray, changed.params)
+
+    def run(params):
+        return simulate(changed, params, U)
+
+    np.testing.assert_allclose(quick_jit(run)(params), loop(12.0, U), rtol=1e-10)
+
+    def at(k):
+        return params._replace(effects={"cubic_spring": {"k": k}})
+
+    slope = quick_jit(jax.jacfwd(lambda k: run(at(k))))(12.0)
+    np.testing.assert_allclose(slope, (loop(12.0 + 1e-5, U) - loop(12.0 - 1e-5, U)) / 2e-5, rtol=1e-5, atol=1e-8)
+    pulled = quick_jit(jax.grad(lambda params: run(params).sum()))(params)
+    np.testing.assert_allclose(pulled.effects["cubic_spring"]["k"], slope.sum(), rtol=1e-9)
+
+
+def test_fits_begin_between_neutral_and_the_bound():
+    assert [float(start["k"]) for start in cubic_spring().guesses(SPAN)] == [0.0, 5.0, 25.0]
+    free = {"k": Parameter("k", neutral=2.0)}
+    assert [float(start["k"]) for start in cubic_spring()._replace(parameters=free).guesses(SPAN)] == [2.0]
+    given = cubic_spring(initial_guesses=lambda span: [{"k": span.x[1, 0]}])
+    assert given.guesses(SPAN) == [{"k": 1.0}]
+    limit = cubic_spring()._replace(parameters={"level": Parameter("L", neutral=np.inf)})
+    with pytest.raises(ValueError, match="cubic_spring: expected initial_guesses beside an infinite neutral"):
+        limit.guesses(SPAN)
+    with pytest.raises(ValueError, match="cubic_spring.k: expected a neutral value, found none"):
+        add(pendulum(), cubic_spring()._replace(parameters={"k": Parameter("k")}))
+
+
+def test_the_catalogue_takes_it_at_its_end():
+    known = effects.catalogue(pendulum())
+    assert catalogue(pendulum(), extra=[cubic_spring()])[-1].name == "cubic_spring"
+    assert len(catalogue(pendulum(), extra=[cubic_spring()])) == len(known) + 1
+    taken = cubic_spring()._replace(name="sensor_offset")
+    with pytest.raises(ValueError, match="extra effects with names of their own, found another 'sensor_offset'"):
+        catalogue(pendulum(), extra=[taken])
+    with pytest.raises(ValueError, match="found another 'cubic_spring'"):
+        catalogue(pendulum(), extra=[cubic_spring(), cubic_spring()])
+    assert catalogue(pendulum(), without=["sensor_offset"], extra=[taken])[-1] is taken
+    of_angle = Needs("a state called angle", lambda physics: any(s.name == "angle" for s in physics.states))
+    assert catalogue(pendulum(), extra=[cubic_spring(needs=of_angle)])
+    with pytest.raises(ValueError, match="cubic_spring: expected a state called angle, found physics 'tanks'"):
+        catalogue(cascaded_tanks(), extra=[cubic_spring(needs=of_angle)])
+
+
+def test_one_number_stands_for_all_channels_and_none_for_no_limit():
+    physics = add_effect(arm(), "coulomb_friction", Tc=0.3)
+    np.testing.assert_array_equal(physics.params.effects["coulomb_friction"]["Tc"], np.full(6, 0.3))
+    physics = add_effect(physics, "joint_limit", lower=None, upper=[0.1, None, 0.2, None, None, 1.0])
+    limits = physics.params.effects["joint_limit"]
+    np.testing.assert_array_equal(limits["lower"], np.full(6, -np.inf))
+    np.testing.assert_array_equal(limits["upper"], [0.1, np.inf, 0.2, np.inf, np.inf, 1.0])
+    with pytest.raises(ValueError, match=r"joint_limit.upper: expected shape \(6,\), found \(2,\)"):
+        add_effect(arm(), "joint_limit", upper=[0.1, 0.2])
+    with pytest.raises(ValueError, match=r"payload: expected \['distance', 'mass'\], found 'weight'"):
+        add_effect(arm(), "payload", weight=1.0)
+    with pytest.raises(ValueError, match=r"expected some of \['torque_gain', .* of physics 'arm', found 'load'"):
+        add_effect(arm(), "load", mass=1.0)
+    with pytest.raises(ValueError, match="expected each effect once, found 'coulomb_friction'"):
+        add_effect(physics, "coulomb_friction")
