@@ -20,6 +20,7 @@ from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
+pytestmark = pytest.mark.slow
 TRUE = {"k1": 0.049, "k2": 0.0003, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
 
 
