@@ -1,22 +1,31 @@
 # make train   set up .venv and train PG-RSSNN on the cascaded tanks (about a minute)
-# make test    set up .venv and run the tests
-# make check   formatting, lint and types
+# make test    set up .venv and run the tests that take minutes
+# make test-slow  those that need more;  make test-all  both, compiled as users compile
+# make check   formatting, lint, layers and types
 # make install set up .venv alone;  make lock  renew the lock file
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := pgrssnn_jax hydra_plugins tests benchmarks train.py discover.py report.py
 
-.PHONY: train test check install lock
+.PHONY: train test test-slow test-all check install lock
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
 test: install
 	$(BIN)/python -m pytest
 
+test-slow: install
+	$(BIN)/python -m pytest -m slow
+
+test-all: install
+	$(BIN)/python -m pytest -m ""
+
 check: install
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/ruff check --isolated --quiet --select F821 $(filter-out pgrssnn_jax,$(SOURCES))  # names that are nowhere
+	@if grep -q '^\[tool\.importlinter\]' pyproject.toml; then echo $(BIN)/lint-imports; $(BIN)/lint-imports; fi
 	$(BIN)/pyright
 
 install: $(VENV)/.installed

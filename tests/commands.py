@@ -1,15 +1,21 @@
 """Running the commands as a user does, and composing their configuration without running them."""
 
+import contextlib
+import importlib
+import io
+import logging
 import os
 import subprocess
 import sys
 import threading
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 from hydra import compose, initialize_config_dir
 from rich.console import Console
 
+from pgrssnn_jax.cli import entry
 from pgrssnn_jax.cli.plan import Plan, plain, plan_training
 from pgrssnn_jax.cli.train import train_run
 from pgrssnn_jax.training.run_folder import RunFolder
@@ -38,7 +44,7 @@ def trained(folder: Path, *overrides: str) -> RunFolder:
 def environment(**changes: str) -> dict[str, str]:
     """Without measured data and without a screen, whatever the machine has."""
     kept = {name: value for name, value in os.environ.items() if name != "PGRSSNN_DATA"}
-    return {**kept, "PYTHONUNBUFFERED": "1", "COLUMNS": "200", **changes}
+    return {**kept, "PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1", "COLUMNS": "200", **changes}
 
 
 def start(*arguments: str, cwd: Path, script: str = "train.py", **changes: str) -> subprocess.Popen:
@@ -55,6 +61,31 @@ def command(
     process = start(*arguments, cwd=cwd, script=script, **changes)
     out, err = process.communicate(timeout=seconds)
     return process.returncode, out, err
+
+
+def called(*arguments: str, cwd: Path, script: str = "train.py") -> tuple[int, str, str]:
+    """The same without a process of its own, for what a command says once its configuration is composed."""
+    module, logger = importlib.import_module(script.removesuffix(".py")), logging.getLogger()
+    before, handlers, level = Path.cwd(), logger.handlers[:], logger.level
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        mock.patch.object(sys, "argv", [str(ROOT / script), *arguments]),
+        mock.patch.object(sys, "path", sys.path[:]),
+        mock.patch.dict(os.environ, environment(HYDRA_MAIN_MODULE="__main__"), clear=True),  # paths from the file
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        os.chdir(cwd)
+        try:
+            entry.call(module.main)
+            code = 0
+        except SystemExit as ended:
+            code = int(ended.code or 0)
+        finally:
+            os.chdir(before)
+            logger.handlers[:] = handlers
+            logger.setLevel(level)
+    return code, out.getvalue(), err.getvalue()
 
 
 def write_benchmark(path: Path, samples: int = 1024, seed: int = 0) -> Path:

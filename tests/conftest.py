@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import jax
@@ -18,6 +19,15 @@ _COMPILED = tempfile.TemporaryDirectory(prefix="pgrssnn_jax_compiled_")
 os.environ["JAX_COMPILATION_CACHE_DIR"] = _COMPILED.name
 jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+# Without the slow tests nearly all time goes to the compiler, which takes about half as long with little optimisation.
+# `make test-all` and `make test-slow` compile everything as users do. XLA stops at flags that it does not know.
+_LITTLE_OPTIMISED = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.option.markexpr == "not slow" and metadata.version("jaxlib") == "0.10.2":
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_LITTLE_OPTIMISED}".strip()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

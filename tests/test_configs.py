@@ -16,7 +16,10 @@ def test_the_ten_published_variants_the_baseline_and_the_physics_are_there():
     assert set(MODELS) == PUBLISHED | {"w_pgnn", "physics_only"}
 
 
-@pytest.mark.parametrize("model", MODELS)
+FAST = ("fcssnn", "pg_rssnn_fb", "w_pgnn")  # without recurrence, with feedback, and the one with a network inside
+
+
+@pytest.mark.parametrize("model", [m if m in FAST else pytest.param(m, marks=pytest.mark.slow) for m in MODELS])
 def test_every_model_trains_for_two_epochs(tmp_path, model):
     path = write_benchmark(tmp_path / "tanks.csv", samples=80)
     run = trained(
@@ -33,7 +36,12 @@ def test_every_model_trains_for_two_epochs(tmp_path, model):
     assert np.isfinite(metrics["summary"]["rmse_mean"])
 
 
-@pytest.mark.parametrize("physics", sorted(path.stem for path in (ROOT / "conf/physics").glob("lgssm*.yaml")))
+LGSSM = sorted(path.stem for path in (ROOT / "conf/physics").glob("lgssm*.yaml"))
+
+
+@pytest.mark.parametrize(
+    "physics", [p if p == "lgssm_model3" else pytest.param(p, marks=pytest.mark.slow) for p in LGSSM]
+)
 def test_every_lgssm_physics_trains_for_two_epochs(tmp_path, physics):
     small = ["data.generated=true", "data.realisations=3", "data.n_train=130", "data.n_validation=50", "data.n_test=90"]
     overrides = ["+experiment=lgssm", f"physics={physics}", *small, *QUICK, "n_seeds=1"]

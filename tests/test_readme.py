@@ -7,7 +7,7 @@ import shlex
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from commands import ROOT, command, composed
+from commands import ROOT, called, command, composed
 
 from pgrssnn_jax.data.csv_files import write_csv
 from pgrssnn_jax.records.arguments import call_with
@@ -78,7 +78,7 @@ def test_the_own_physics_example_trains_on_own_data(tmp_path):
     assert metrics["system"] == "pendulum"
     assert metrics["outputs"] == [{"name": "angle", "unit": "rad"}]
     assert metrics["summary"]["finished"] == 2
-    code, _, err = command(
+    code, _, err = called(
         "physics._target_=my_physics.pendulum", "+physics.length=0.5", "data=csv", "data.train=A.csv",
         "data.test=C.csv", cwd=tmp_path,
     )  # fmt: skip

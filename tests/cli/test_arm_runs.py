@@ -4,12 +4,13 @@ import json
 
 import numpy as np
 import pytest
-from commands import QUICK, ROOT, command, composed, planned, trained
+from commands import QUICK, ROOT, called, composed, planned, trained
 
 from pgrssnn_jax.data.arm_simulator import simulated_arm
 from pgrssnn_jax.physics.arms.tables import described
 
 SMALL = ["data.generated=true", "data.n_train=3", "data.n_validation=1", "data.n_test=2", "data.n_samples=25"]
+SIMULATED = ["+experiment=robot_simulated", "data.realisations=1"]
 TINY = ["model.gru_layers=1", *QUICK]
 TORQUES, POSITIONS = ([f"{name}_{i + 1}" for i in range(6)] for name in ("torque", "position"))
 
@@ -18,7 +19,10 @@ def metrics_of(run) -> dict:
     return json.loads((run.path / "metrics.json").read_text())
 
 
-@pytest.mark.parametrize("physics", sorted(path.stem for path in (ROOT / "conf/physics").glob("arm*.yaml")))
+ARMS = sorted(path.stem for path in (ROOT / "conf/physics").glob("arm*.yaml"))
+
+
+@pytest.mark.parametrize("physics", [p if p == "arm_model3" else pytest.param(p, marks=pytest.mark.slow) for p in ARMS])
 def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
     overrides = ["data.realisations=2", f"physics={physics}", *SMALL, "model=physics_only"]
     metrics = metrics_of(trained(tmp_path / "run", "+experiment=robot_simulated", *overrides))
@@ -27,15 +31,17 @@ def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
     assert [output["name"] for output in metrics["outputs"]] == POSITIONS
 
 
-def test_both_backends_predict_the_same_untrained_arm(tmp_path):
+def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zero(tmp_path):
     found = []
     for backend in ("jax", "pinocchio"):
         overrides = [*SMALL, "model=physics_only", f"physics.backend={backend}"]
-        run = trained(tmp_path / backend, "+experiment=robot_real", *overrides)
-        found.append(np.load(run.path / "predictions.npz")["y_hat"])
+        arrays = np.load(trained(tmp_path / backend, "+experiment=robot_real", *overrides).path / "predictions.npz")
+        assert not arrays["x0"].any()
+        found.append(arrays["y_hat"])
     np.testing.assert_allclose(*found, atol=2e-4)  # rad; float32, and friction switches its sign at standstill
 
 
+@pytest.mark.slow
 def test_the_pinocchio_backend_trains_on_two_devices(tmp_path):
     overrides = [*SMALL, *TINY, "physics.backend=pinocchio", "physics.physics_gradient=full", "members.devices=2"]
     assert metrics_of(trained(tmp_path / "run", "+experiment=robot_real", *overrides))["summary"]["finished"] == 2
@@ -50,11 +56,6 @@ def test_a_trained_run_shows_the_arm(tmp_path):
     assert np.isfinite(arrays["skeleton_predicted"]).all()
     assert (run.path / "figures/arm.png").exists()
     assert "<svg" in (run.path / "report.html").read_text()
-
-
-def test_members_start_at_rest_at_zero(tmp_path):
-    run = trained(tmp_path / "run", "+experiment=robot_real", *SMALL, "model=physics_only")
-    assert not np.load(run.path / "predictions.npz")["x0"].any()
 
 
 def test_velocities_have_a_scale_of_their_own_and_no_offset():
@@ -85,12 +86,19 @@ def write_arm_csv(path, *, degrees=False, joints=6):
     return path
 
 
-def test_own_arm_data_comes_as_columns_of_torques_and_positions(tmp_path):
+def test_own_arm_data_comes_as_columns_and_what_was_not_measured_has_no_pose(tmp_path):
     file = write_arm_csv(tmp_path / "arm.csv")
-    data = ["data=csv", f"data.train={file}", f"data.test={file}"]
-    metrics = metrics_of(trained(tmp_path / "run", "physics=arm", *data, "initial_state=zero", "model=physics_only"))
+    short = tmp_path / "short.csv"
+    lines = file.read_text().splitlines()
+    short.write_text("\n".join(lines[:-10]) + "\n")  # the second sequence ends early
+    data = ["data=csv", f"data.train={file}", f"data.test={short}"]
+    run = trained(tmp_path / "run", "physics=arm", *data, "initial_state=zero", "model=physics_only")
+    metrics = metrics_of(run)
     assert metrics["summary"]["finished"] == 1
     assert {output["unit"] for output in metrics["outputs"]} == {"rad"}
+    poses = np.load(run.path / "predictions.npz")["skeleton_measured"]
+    assert np.isfinite(poses[0]).all()
+    assert np.isnan(poses[1, -10:]).any(axis=(1, 2)).all()
 
 
 def test_degrees_are_found_by_their_range(tmp_path):
@@ -108,7 +116,7 @@ def test_positions_within_the_limits_and_their_noise_are_taken(tmp_path):
 
 def test_columns_of_another_arm_are_one_sentence(tmp_path):
     file = write_arm_csv(tmp_path / "arm.csv", joints=4)
-    code, _, err = command("physics=arm", "data=csv", f"data.train={file}", f"data.test={file}", cwd=tmp_path)
+    code, _, err = called("physics=arm", "data=csv", f"data.train={file}", f"data.test={file}", cwd=tmp_path)
     assert code == 2
     assert err.count("\n") == 1
     assert "torque_5" in err
@@ -124,13 +132,14 @@ def test_a_urdf_of_a_gripper_is_one_sentence(tmp_path):
     )
     file = write_arm_csv(tmp_path / "arm.csv")
     data = ["data=csv", f"data.train={file}", f"data.test={file}"]
-    code, _, err = command("physics=arm", f"physics.urdf={urdf}", *data, cwd=tmp_path)
+    code, _, err = called("physics=arm", f"physics.urdf={urdf}", *data, cwd=tmp_path)
     assert code == 2
     assert "rail" in err
     assert "prismatic" in err
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_an_estimated_start_is_found_through_the_arm(tmp_path):
     overrides = [*SMALL, "model=physics_only", "initial_state=estimated", "n_init=3", "data.n_test=1"]
     x0 = np.load(trained(tmp_path / "run", "+experiment=robot_real", *overrides).path / "predictions.npz")["x0"]
@@ -160,25 +169,13 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
     assert plan.fit.objective.model.physics.skeleton is None  # two arms on one base are no line
 
 
-def test_samples_that_were_not_measured_have_no_pose(tmp_path):
-    file = write_arm_csv(tmp_path / "arm.csv")
-    short = tmp_path / "short.csv"
-    lines = file.read_text().splitlines()
-    short.write_text("\n".join(lines[:-10]) + "\n")  # the second sequence ends early
-    data = ["data=csv", f"data.train={file}", f"data.test={short}"]
-    run = trained(tmp_path / "run", "physics=arm", *data, "initial_state=zero", "model=physics_only")
-    poses = np.load(run.path / "predictions.npz")["skeleton_measured"]
-    assert np.isfinite(poses[0]).all()
-    assert np.isnan(poses[1, -10:]).any(axis=(1, 2)).all()
-
-
 @pytest.mark.data
 @pytest.mark.parametrize(
     ("overrides", "nrmse"),
     [
-        (["+experiment=robot_simulated", "physics=arm_model1", "data.realisations=1"], (0.52, 0.54)),
-        (["+experiment=robot_simulated", "physics=arm_model2", "data.realisations=1"], (0.80, 0.81)),
-        (["+experiment=robot_simulated", "physics=arm_true", "data.realisations=1"], (0.32, 0.33)),
+        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=pytest.mark.slow),
+        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=pytest.mark.slow),
+        ([*SIMULATED, "physics=arm_true"], (0.32, 0.33)),
         (["+experiment=robot_real"], (3.2, 3.32)),
     ],
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import QUICK, ROOT, command
+from commands import QUICK, ROOT, called, command
 from hydra import compose, initialize_config_dir
 
 from pgrssnn_jax.cli.discover import checked
@@ -69,6 +69,7 @@ def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     assert (tmp_path / "trained" / "DONE").exists()
 
 
+@pytest.mark.slow
 def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     """The shorter first sequence never saturates, and what fills it up is no sample."""
     draw, lengths, rows = np.random.default_rng(3), {"calm": 150, "wild": 240}, []
@@ -92,6 +93,7 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     assert all(row["share_of_samples"] <= 1.0 for row in said["disagreement"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["many short sequences", "every second sample measured"])
 def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
     short, draw, rows = layout.startswith("many"), np.random.default_rng(4), []
@@ -113,7 +115,7 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
 def refused(*arguments: str, cwd: Path, script: str) -> str:
     """The one sentence; nothing is left."""
     before = {p.name for p in cwd.iterdir()}
-    code, _, err = command(*arguments, "hydra.run.dir=run", cwd=cwd, script=script)
+    code, _, err = called(*arguments, "hydra.run.dir=run", cwd=cwd, script=script)
     assert code == 2, err
     assert "Traceback" not in err
     assert {p.name for p in cwd.iterdir()} == before

@@ -7,6 +7,7 @@ import pytest
 from commands import ROOT, command
 from omegaconf import OmegaConf
 
+pytestmark = pytest.mark.slow
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf/experiment").glob("*.yaml") if "sweeper" in path.read_text())
 
 

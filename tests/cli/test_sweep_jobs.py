@@ -155,6 +155,7 @@ def results(run: RunFolder) -> tuple:
     return metrics["members"], metrics["summary"], history.to_dict("list")
 
 
+@pytest.mark.slow
 def test_a_sweep_killed_at_any_time_ends_as_if_nobody_had_touched_it(tmp_path, benchmark):
     sweep = quick(benchmark, "model=rssnn", "seed=0,4", "fit.epochs=6", "fit.checkpoint_seconds=0")
     began = time.monotonic()
@@ -181,6 +182,7 @@ def test_a_sweep_killed_at_any_time_ends_as_if_nobody_had_touched_it(tmp_path, b
         assert results(run) == results(whole[name]), f"{name}, killed after {moment} s"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
 def test_launchers_put_every_run_where_a_serial_sweep_does(tmp_path, benchmark, launcher):
     sweep = ["-m", "+experiment=cascaded_tank", f"data.path={benchmark}", "model=physics_only"]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import QUICK, ROOT, command, composed, planned, start, trained, write_benchmark
+from commands import QUICK, ROOT, called, command, composed, planned, start, trained, write_benchmark
 
 from pgrssnn_jax.cli.resume import resume_config
 from pgrssnn_jax.training.finished import load_run
@@ -64,6 +64,7 @@ def test_a_run_leaves_the_folder_of_the_contract(tmp_path, benchmark):
     assert f"{metrics['summary']['rmse_mean']:.3f}"[:4] in out
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_is_whole_and_resumes_to_the_same_numbers(tmp_path, benchmark):
     """Ctrl-C after the first chunks; the resumed run ends like one that nobody stopped, bit for bit."""
     long = [
@@ -98,7 +99,7 @@ def test_an_interrupted_run_is_whole_and_resumes_to_the_same_numbers(tmp_path, b
 
 
 def test_a_sweep_leaves_a_folder_per_job(tmp_path, benchmark):
-    arguments = quick(benchmark, "n_seeds=1", "seed=3,4", "hydra.sweep.dir=sweep")
+    arguments = quick(benchmark, "model=physics_only", "seed=3,4", "hydra.sweep.dir=sweep")
     code, _, err = command("-m", *arguments, cwd=tmp_path)
     assert code == 0, err
     seeds = [
@@ -108,17 +109,17 @@ def test_a_sweep_leaves_a_folder_per_job(tmp_path, benchmark):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "sentence"),
+    ("run", "arguments", "sentence"),
     [
-        (["+experiment=cascaded_tank", "model=unknown"], "model/unknown"),
-        (["+experiment=cascaded_tank", "fit.epohcs=3"], "fit.epohcs"),
-        (["+experiment=cascaded_tank", "data.path=none.csv"], "none.csv"),
-        ([], "physics._target_: expected +experiment=cascaded_tank"),
-        (["resume=none"], "run folder: expected one with a config.yaml"),
+        (command, ["+experiment=cascaded_tank", "model=unknown"], "model/unknown"),
+        (command, ["+experiment=cascaded_tank", "fit.epohcs=3"], "fit.epohcs"),
+        (called, ["+experiment=cascaded_tank", "data.path=none.csv"], "none.csv"),
+        (called, [], "physics._target_: expected +experiment=cascaded_tank"),
+        (called, ["resume=none"], "run folder: expected one with a config.yaml"),
     ],
 )
-def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, arguments, sentence):
-    code, out, err = command(*arguments, cwd=tmp_path)
+def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, run, arguments, sentence):
+    code, out, err = run(*arguments, cwd=tmp_path)
     assert code == 2, err
     assert sentence in err + out
     assert "Traceback" not in err
@@ -187,45 +188,41 @@ def test_resume_refuses_another_run_and_takes_more_epochs(tmp_path, benchmark):
 
 def test_a_killed_run_resumes_from_its_first_checkpoint(tmp_path, benchmark):
     """SIGKILL before anything was trained: the run is there, unfinished, and resumes to its end."""
-    arguments = ["+experiment=cascaded_tank", f"data.path={benchmark}", "data.n_validation=40", "n_seeds=2"]
-    process = start(*arguments, "fit.epochs=40", "hydra.run.dir=killed", cwd=tmp_path)
+    process = start(*quick(benchmark), "fit.epochs=40", "hydra.run.dir=killed", cwd=tmp_path)
     while not (tmp_path / "killed/checkpoint/0").exists() and process.poll() is None:
         time.sleep(0.01)
     process.kill()
     process.communicate()
     assert not (tmp_path / "killed/DONE").exists()
-    code, _, err = command("resume=killed", "fit.epochs=60", cwd=tmp_path)
+    code, _, err = called("resume=killed", "fit.epochs=60", cwd=tmp_path)
     assert code == 0, err
     assert pd.read_csv(tmp_path / "killed/history.csv")["epoch"].max() == 60
     assert read_config(tmp_path / "killed")["fit"]["epochs"] == 60
     assert json.loads((tmp_path / "killed/environment.json").read_text())["command"].endswith("fit.epochs=40")
 
 
-def test_a_run_folder_without_a_checkpoint_is_named(tmp_path, benchmark):
-    run = trained(tmp_path / "run", *quick(benchmark))
-    shutil.rmtree(run.checkpoint)
-    code, _, err = command("resume=run", cwd=tmp_path)
-    assert code == 2
-    assert "checkpoint: expected one in" in err
-    assert run.finished
-
-
-def test_a_run_resumes_on_its_own_data_alone(tmp_path, benchmark):
+def test_a_finished_run_that_cannot_be_resumed_stays_as_it_is(tmp_path, benchmark):
+    """To fewer epochs, on other data, without its checkpoint; then another run takes its folder."""
     run = trained(tmp_path / "run", *quick(benchmark))
     before = (run.path / "metrics.json").read_text()
+
+    def refused(*arguments: str) -> str:
+        code, _, err = called("resume=run", *arguments, cwd=tmp_path)
+        assert code == 2
+        assert (run.path / "metrics.json").read_text() == before
+        assert run.finished
+        return err
+
+    fewer = "resume: fit.epochs: expected at least the 2 already trained, found 1"
+    assert fewer in refused("fit.epochs=1")
     write_benchmark(benchmark, samples=160, seed=1)
-    code, _, err = command("resume=run", "fit.epochs=9", cwd=tmp_path)
-    assert code == 2
-    assert "resume: data: expected" in err
-    assert (run.path / "metrics.json").read_text() == before
+    assert "resume: data: expected" in refused("fit.epochs=9")
+    shutil.rmtree(run.checkpoint)
+    assert "checkpoint: expected one in" in refused()
+    run = trained(tmp_path / "run", *quick(benchmark, "model=physics_only"))
+    metrics = json.loads((run.path / "metrics.json").read_text())
+    assert metrics["summary"]["planned"] == 1
     assert run.finished
-
-
-def test_a_run_cannot_be_resumed_to_fewer_epochs(tmp_path, benchmark):
-    trained(tmp_path / "run", *quick(benchmark))
-    code, _, err = command("resume=run", "fit.epochs=1", cwd=tmp_path)
-    assert code == 2
-    assert "resume: fit.epochs: expected at least the 2 already trained, found 1" in err
 
 
 def test_a_stop_before_training_writes_nothing(tmp_path):
@@ -254,14 +251,6 @@ def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
     np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="run folder: expected one"):
         load_run(tmp_path)
-
-
-def test_a_second_run_in_the_same_folder_replaces_the_first(tmp_path, benchmark):
-    trained(tmp_path / "run", *quick(benchmark))
-    run = trained(tmp_path / "run", *quick(benchmark, "n_seeds=1", "model.hidden=2"))
-    metrics = json.loads((run.path / "metrics.json").read_text())
-    assert metrics["summary"]["planned"] == 1
-    assert run.finished
 
 
 def test_the_wrong_pinocchio_and_missing_packages_are_named(monkeypatch, tmp_path):

@@ -10,7 +10,7 @@ from benchmarks.hidden import pendulum, suite
 from benchmarks.hidden.suite import Plan
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.look import Rules, look_at
-from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import linear
@@ -55,12 +55,14 @@ def look(case, record, draws=199):
         return look_at(problem, data, start, settings, rules, np.random.default_rng(0), without=())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("system", "name"), EFFECTS)
 def test_no_other_effect_does_better_than_the_hidden_one(system, name):
     case = suite.build(Plan(system, 5, "single", (name,), (), QUIET[system]))
     assert_best(look(case, case.train), case.accepted[0])
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("every effect of pendulum")
 @pytest.mark.parametrize("name", ["sensor_gain", "input_gain"])
 def test_no_other_effect_does_better_than_that_of_an_instrument(name):

@@ -9,7 +9,7 @@ from discovery.small_cases import choices, fine_tanks, pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Settings, fit_all
 from pgrssnn_jax.discovery.look import look_at
-from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.setup import Start
@@ -20,6 +20,7 @@ from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
+pytestmark = pytest.mark.slow
 TRUE = {"k1": 0.049, "k2": 0.0003, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
 
 

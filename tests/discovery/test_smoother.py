@@ -7,7 +7,7 @@ from discovery.small_cases import pump, tank_record
 
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.locate import clear, intervals
-from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
 from pgrssnn_jax.discovery.smoother import smoothed_correction
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.null import Added, what_is_added
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
