@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, after_step, counted, own_of
+from pgrssnn_jax.effects.base import Effect, Needs, after_step, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.linear import times
 
@@ -21,18 +21,13 @@ def lgssm_effects(physics: Physics) -> tuple[Effect, ...]:
 
 def _linear(physics: Physics) -> Needs:
     """Matrices of these shapes: the numbers are one per state, or per output and input."""
-    shapes = {name: np.shape(own_of(physics.params)[name]) for name in "ABC"}
+    a, b, c = shapes = [np.shape(own_of(physics.params)[name]) for name in "ABC"]
 
     def met(other: Physics) -> bool:
         own = own_of(other.params)
-        return all(name in own and np.shape(own[name]) == shape for name, shape in shapes.items())
+        return set("ABC") <= set(own) and [np.shape(own[name]) for name in "ABC"] == shapes
 
-    n_x, n_u, n_y = (
-        counted(shapes["B"][0], "state"),
-        counted(shapes["B"][1], "input"),
-        counted(shapes["C"][0], "output"),
-    )
-    return Needs(f"a linear state-space model A, B, C of {n_x}, {n_u} and {n_y}", met)
+    return Needs(f"a linear state-space model with A {a}, B {b} and C {c}", met)
 
 
 def feedthrough(physics: Physics) -> Effect:

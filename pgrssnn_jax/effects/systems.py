@@ -7,7 +7,7 @@ import numpy as np
 
 from pgrssnn_jax.effects.arm import arm_effects
 from pgrssnn_jax.effects.arm_common import points_of
-from pgrssnn_jax.effects.base import Effect, Numbers, add, own_of
+from pgrssnn_jax.effects.base import Effect, Numbers, add, effects_of, own_of
 from pgrssnn_jax.effects.lgssm import lgssm_effects
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
@@ -18,13 +18,14 @@ _SAID_OTHERWISE = {"tanks": ("input_saturation", "input_dead_zone")}  # a pump h
 
 
 def catalogue(physics: Physics, without: Sequence[str] = (), extra: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """The system's own effects that this physics can take, then those of any system, but for those named in `without`;
-    then the user's own ones, `extra`.
+    """The system's own effects that this physics can take and does not have, then those of any system, but for those
+    named in `without`; then the user's own ones, `extra`.
 
     Raises `ValueError` when `without` names an effect that is not among them, and for an extra effect whose name is
     taken or that the physics cannot take.
     """
-    found = [effect for effect in _of_system(physics) if effect.needs.met(physics)]
+    there = effects_of(physics.params)
+    found = [effect for effect in _of_system(physics) if effect.needs.met(physics) and effect.name not in there]
     known = [effect.name for effect in found]
     for name in without:
         if name not in known:

@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 
 from pgrssnn_jax.discovery.least_squares import Lanes, _solve, fit, sensitivity, simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
-from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.effects.systems import add_effect, catalogue
+from pgrssnn_jax.physics.base import Parameter
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 TRUE = {"k1": 0.05, "k2": 0.0003, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
@@ -186,3 +187,24 @@ def test_problem_places_every_number(problem):
     assert problem.params(theta).effects["sensor_offset"]["offset"] == [0.25]
     assert float(problem.params(theta).own["k1"]) == pytest.approx(PUBLISHED["k1"])
     assert [problem.slots[i].label for i in problem.of("leak_tank1")] == ["leak_tank1.rate"]
+
+
+def test_effects_that_the_physics_has_are_its_own_numbers():
+    """They are recalibrated like k1; what is looked for keeps apart, also from an own number of the same name."""
+    physics = add_effect(cascaded_tanks(integrator="rk4"), "leak_tank1", rate=0.002)
+    params = {**physics.params.own, "sensor_offset": 0.5}
+    meanings = {**physics.parameters.own, "sensor_offset": Parameter("own")}
+    physics = physics._replace(
+        params=physics.params._replace(own=params), parameters=physics.parameters._replace(own=meanings)
+    )
+    problem = build_problem(physics, [e for e in catalogue(physics) if e.name == "sensor_offset"], fixed=["k2"])
+    assert {s.label for s in problem.slots if s.effect is None} == {*PUBLISHED, "leak_tank1.rate", "sensor_offset"}
+    assert [problem.slots[i].label for i in problem.of("sensor_offset")] == ["sensor_offset.offset[1]"]
+    assert "k2" not in [problem.slots[i].label for i in problem.of(None)]
+    known = problem.known(problem.theta)
+    assert jax.tree.structure(known) == jax.tree.structure(jax.tree.map(float, physics.params))
+    assert known.effects["leak_tank1"]["rate"] == 0.002
+    other = physics.params._replace(effects={"leak_tank1": {"rate": 0.005}})
+    moved = problem.with_numbers(other)
+    assert moved.known(moved.theta).effects["leak_tank1"]["rate"] == 0.005
+    assert moved.params(moved.theta).own["sensor_offset"] == 0.5

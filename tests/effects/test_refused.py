@@ -39,7 +39,7 @@ REFUSED = {
     "matrix of another": (
         lambda: state_space(("a", "b")),
         quadratic_damping(state_space()),
-        "quadratic_damping: expected a linear state-space model A, B, C of 2 states, 1 input and 1 output, found",
+        r"quadratic_damping: expected a linear state-space model with A \(2, 2\), B \(2, 1\) and C \(1, 2\), found",
     ),
     "two channels": (cascaded_tanks, input_offset(toy_physics()), "input_offset: expected 2 inputs, found physics 'ta"),
     "one reading": (toy_physics, sensor_gain(cascaded_tanks()), "sensor_gain: expected 1 output, found physics 'toy'"),

@@ -110,3 +110,9 @@ def test_named_numbers_are_checked():
         add_named(cascaded_tanks(), {"leak_tank1": {"speed": 1.0}})
     with pytest.raises(ValueError, match=r"sensor_offset.offset: expected shape \(1,\)"):
         add_named(cascaded_tanks(), {"sensor_offset": {"offset": [0.1, 0.2]}})
+
+
+def test_what_is_there_is_not_missing():
+    physics = add_named(cascaded_tanks(), {"leak_tank1": {"rate": 0.001}, "input_lag": {}})
+    assert names(physics) == [n for n in names(cascaded_tanks()) if n not in ("leak_tank1", "input_lag")]
+    assert system_of(physics) == "tanks"
