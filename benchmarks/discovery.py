@@ -21,13 +21,14 @@ from rich.console import Console
 from rich.table import Table
 
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.setup import DiscoverySettings, Start
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.arguments import call_with
 
@@ -97,7 +98,7 @@ def _nominal(case: Case) -> Physics:
     if case.system == "tanks":
         return cascaded_tanks(**case.physics, integrator="rk4")
     if case.system == "lgssm":
-        return linear(**case.physics)
+        return lgssm(**case.physics)
     if case.system == "pendulum":
         return pendulum.pendulum(**case.physics)
     return arm(**{"sub_steps": 5, "derivatives": "forward", **case.physics})

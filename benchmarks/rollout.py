@@ -26,7 +26,7 @@ from pgrssnn_jax.models.model import build_model, model_scaling
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Channel, RecordInfo, cast, record, windows
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, keys_of, map_members, repeat
@@ -74,7 +74,7 @@ def tanks_case(repeats: int) -> dict[str, Any]:
 
 def lgssm_case(repeats: int) -> dict[str, Any]:
     """31 windows of 64 steps, 50 members."""
-    physics = linear(A=[[0.6, 0.7], [-0.1, 0.0]], B=[[-1.1], [0.0]], C=[[0.9, -0.1]])
+    physics = lgssm(A=[[0.6, 0.7], [-0.1, 0.0]], B=[[-1.1], [0.0]], C=[[0.9, -0.1]])
     data = member_data(physics, time=2000, window=64)
     return {
         "shape": "31 sequences of 64 steps",

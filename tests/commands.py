@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import NamedTuple
 from unittest import mock
 
 import numpy as np
@@ -16,28 +17,45 @@ from hydra import compose, initialize_config_dir
 from rich.console import Console
 
 from pgrssnn_jax.cli import entry
-from pgrssnn_jax.cli.plan import Plan, plain, plan_training
-from pgrssnn_jax.cli.train import train_run
+from pgrssnn_jax.cli.config_store import register
+from pgrssnn_jax.cli.plan import plain_config
+from pgrssnn_jax.cli.train import plan_command, train_run
+from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.training.plan import Plan
 from pgrssnn_jax.training.run_folder import RunFolder
 
 ROOT = Path(__file__).parent.parent
 QUICK = ["n_seeds=2", "fit.epochs=2", "fit.validate_every=1", "fit.chunk_epochs=1", "model.hidden=3"]
 
 
+class Planned(NamedTuple):
+    """A plan of the command, its training record as it was loaded, and its test record."""
+
+    plan: Plan
+    train: Record
+    test: Record
+
+
 def composed(*overrides: str, name: str = "train") -> dict:
+    register()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return plain(compose(name, overrides=list(overrides)))
+        return plain_config(compose(name, overrides=list(overrides)))
 
 
-def planned(*overrides: str, notify=lambda line: None) -> Plan:
-    return plan_training(composed(*overrides), notify)
+def planned(*overrides: str, notify=lambda line: None) -> Planned:
+    experiment, plan = plan_command(composed(*overrides), notify)
+    return Planned(plan, experiment.train, experiment.test)
 
 
 def trained(folder: Path, *overrides: str) -> RunFolder:
     run = RunFolder(folder)
     with (folder.parent / f"{folder.name}.log").open("w") as log:
-        plan = planned(*overrides)
-        train_run(plan, None, run, Console(file=log), threading.Event(), command="python train.py", seconds={})
+        config = composed(*overrides)
+        experiment, plan = plan_command(config, lambda line: None)
+        train_run(
+            config, plan, experiment.test, None, run, Console(file=log), threading.Event(),
+            command="python train.py", seconds={},
+        )  # fmt: skip
     return run
 
 

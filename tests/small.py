@@ -5,8 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.models.initial_state import InitialState
-from pgrssnn_jax.models.model import ModelParams, build_model, model_scaling
+from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.tanks import cascaded_tanks

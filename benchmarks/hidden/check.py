@@ -13,7 +13,7 @@ import numpy as np
 
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm as linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 from . import arm as hidden_arm

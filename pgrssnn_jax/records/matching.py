@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pgrssnn_jax.records.units import conversion
 _CLOCK = 0.01  # of the sample time: clocks are no better
 
 
+@runtime_checkable
 class Named(Protocol):
     """A signal of a physics, or a channel of a record."""
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from discovery.small_cases import choices
 
-from pgrssnn_jax.acceleration.background import ahead, compile_look
+from pgrssnn_jax.acceleration.background import ahead
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.look import look_at
+from pgrssnn_jax.discovery.precompile import compile_look
 from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 
@@ -55,7 +56,7 @@ def test_what_is_no_longer_wanted_is_not_begun():
 
 
 def test_a_look_finds_its_programs_compiled(caplog):
-    physics = linear(A=[[0.9]], B=[[0.1]], C=[[1.0]])
+    physics = lgssm(A=[[0.9]], B=[[0.1]], C=[[1.0]])
     problem = build_problem(physics, [e for e in catalogue(physics) if e.name in ("input_offset", "sensor_offset")])
     settings = Settings(lanes=8, steps=4)
     data = weighted_signals(problem, small_record(), folds=2, block=10)

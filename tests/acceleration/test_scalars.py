@@ -12,7 +12,7 @@ from pgrssnn_jax.acceleration.scalars import written_out
 from pgrssnn_jax.discovery.free_runs import with_derivatives
 from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 MATRIX = np.random.default_rng(0).normal(size=(4, 3))
@@ -99,7 +99,7 @@ def test_what_a_number_is_and_what_it_is_not():
 PLANTS = {
     "tanks": lambda: cascaded_tanks(integrator="rk4"),
     "tanks by one step": cascaded_tanks,
-    "linear": lambda: linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]]),
+    "linear": lambda: lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]]),
     "toy": toy_physics,
     "toy, measured before": lambda: toy_physics("before_step"),
 }

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import QUICK, ROOT, called, command, composed, planned, start, trained, write_benchmark
+from pgrssnn_jax.training.finished import load_run
 
 from pgrssnn_jax.cli.resume import resume_config
-from pgrssnn_jax.training.finished import load_run
 from pgrssnn_jax.training.run_folder import read_config
 
 FILES = {

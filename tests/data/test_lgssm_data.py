@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.data.lgssm import A, B, C, load_lgssm
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 
 TRAIN, TEST = "toy_lgssm_pre_trainingset_shifted_{}.npz", "toy_lgssm_pre_testset_shifted.npz"
 SMALL = {"realisations": 2, "n_train": 20, "n_validation": 10, "n_test": 15, "window": 6}
@@ -101,7 +101,7 @@ def test_realisations_differ_and_share_their_test_record():
 
 
 def test_the_sample_time_is_that_of_the_physics():
-    physics = linear(A=A.tolist(), B=B[:, None].tolist(), C=C[None].tolist(), dt=0.5)
+    physics = lgssm(A=A.tolist(), B=B[:, None].tolist(), C=C[None].tolist(), dt=0.5)
     assert load_lgssm(generated=True, physics=physics, **SMALL).train.info.dt == 0.5
     assert load_lgssm(generated=True, **SMALL).train.info.dt == 1.0
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.discovery.setup import DiscoverySettings
+from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 PUBLISHED = {"k1": 0.0464, "k2": 0.0003, "k3": 0.0412, "k4": 0.0586, "k5": 0.0039}

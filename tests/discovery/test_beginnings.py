@@ -9,7 +9,7 @@ from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 
 SAMPLES = 640
 NOISE = np.random.default_rng(0).standard_normal((1, SAMPLES, 1))
@@ -18,7 +18,7 @@ INPUT, OUTPUT, DAMPING, GAIN = "input_offset", "sensor_offset", "quadratic_dampi
 
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    physics = linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+    physics = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
     return build_problem(physics, [e for e in catalogue(physics) if e.name in (INPUT, OUTPUT, DAMPING, GAIN)])
 
 
@@ -53,7 +53,7 @@ def test_what_did_as_well_as_the_first_is_followed_too(problem):
 
 
 def test_a_single_hypothesis_may_be_right():
-    physics = linear(A=[[0.7]], B=[[1.0]], C=[[1.0]])
+    physics = lgssm(A=[[0.7]], B=[[1.0]], C=[[1.0]])
     alone = build_problem(physics, [e for e in catalogue(physics) if e.name == DAMPING])
     assert found(alone, {frozenset(): 400.0, frozenset({DAMPING}): 1.0}) == {DAMPING}
 

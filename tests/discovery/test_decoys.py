@@ -12,7 +12,7 @@ from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
 pytestmark = pytest.mark.xdist_group("decoys")  # one process, one compiled program
@@ -23,7 +23,7 @@ NAMES = ("sensor_offset", "input_offset", "input_gain", "input_dead_zone")
 
 @pytest.fixture(scope="module")
 def problems() -> tuple[Problem, Problem]:
-    physics = linear(A=A, B=B[:, None], C=C[None])
+    physics = lgssm(A=A, B=B[:, None], C=C[None])
     problem = build_problem(physics, [e for e in catalogue(physics) if e.name in NAMES], fixed=["B"])
     return problem, flexible_problem(problem)
 

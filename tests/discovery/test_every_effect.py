@@ -13,7 +13,7 @@ from pgrssnn_jax.discovery.look import Rules, look_at
 from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SYSTEMS = ("tanks", "pendulum", "lgssm")
@@ -28,7 +28,7 @@ EFFECTS = [
 def physics_of(case):
     if case.system == "tanks":
         return cascaded_tanks(**case.physics, integrator="rk4")
-    return linear(**case.physics) if case.system == "lgssm" else pendulum.pendulum(**case.physics)
+    return lgssm(**case.physics) if case.system == "lgssm" else pendulum.pendulum(**case.physics)
 
 
 @cache

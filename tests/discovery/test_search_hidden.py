@@ -16,7 +16,7 @@ from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.discovery.workflow import discover_in
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
@@ -90,7 +90,7 @@ def linear_record(samples: int, seed: int, damping: float = 0.0) -> Record:
 
 def test_what_the_catalogue_lacks_is_not_called_nothing():
     """Quadratic damping hidden: named with it; without it in the catalogue still no `no_discrepancy`."""
-    physics = linear(A=A, B=B[:, None], C=C[None])
+    physics = lgssm(A=A, B=B[:, None], C=C[None])
     names = ("quadratic_damping", "sensor_offset")
     problem = build_problem(physics, [e for e in catalogue(physics) if e.name in names])
 

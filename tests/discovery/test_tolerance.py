@@ -12,7 +12,7 @@ from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.null import Added, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 TRUE = {"k1": 0.05, "k2": 0.0009, "k3": 0.043, "k4": 0.056, "k5": 0.0039}
@@ -81,7 +81,7 @@ def test_nothing_moves_without_tolerance_and_everything_with_much(problem, recor
 
 
 def test_effects_and_zeros_are_not_held_and_a_matrix_is_by_its_largest_entry():
-    physics = linear(A=[[0.9, 0.0], [0.1, 0.6]], B=[[1.0], [0.0]], C=[[0.0, 2.0]])
+    physics = lgssm(A=[[0.9, 0.0], [0.1, 0.6]], B=[[1.0], [0.0]], C=[[0.0, 2.0]])
     problem = build_problem(physics, catalogue(physics)[:3]).held(0.1, 4.0)
     precision = {slot.label: p for slot, p in zip(problem.slots, problem.precision, strict=True)}
     for label in ("A[1][1]", "A[1][2]", "A[2][2]"):

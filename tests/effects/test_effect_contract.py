@@ -11,7 +11,7 @@ from toys import quick_jit, toy_physics
 from pgrssnn_jax.effects.base import Effect, SignalRange, add
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, check_physics, continuous
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -33,7 +33,7 @@ def pendulum() -> Physics:
 
 SYSTEMS = {
     "tanks": lambda: cascaded_tanks(integrator="rk4"),
-    "lgssm": lambda: linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0, 0.2], [0.1, 1.0]], C=[[1.0, 0.0]], inputs=["a", "b"]),
+    "lgssm": lambda: lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0, 0.2], [0.1, 1.0]], C=[[1.0, 0.0]], inputs=["a", "b"]),
     "pendulum": pendulum,
     "toy": toy_physics,
 }

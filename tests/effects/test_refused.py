@@ -19,12 +19,12 @@ from pgrssnn_jax.effects.systems import add_effect, catalogue
 from pgrssnn_jax.effects.tanks import leak_tank1, pump_dead_zone, tank_effects
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Signal, discrete
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 
 def state_space(inputs=("u",)):
-    return linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[1.0] * len(inputs)] * 2, C=[[1.0, 0.0]], inputs=inputs)
+    return lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[1.0] * len(inputs)] * 2, C=[[1.0, 0.0]], inputs=inputs)
 
 
 REFUSED = {

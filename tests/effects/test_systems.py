@@ -6,7 +6,7 @@ from toys import toy_physics
 
 from pgrssnn_jax.effects.systems import add_named, catalogue, system_of
 from pgrssnn_jax.physics.arms.build import arm
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 ANY = {
@@ -26,7 +26,7 @@ ARM = {
 
 
 def state_space():
-    return linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+    return lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
 
 
 def names(physics, without=()):

@@ -7,8 +7,9 @@ import pytest
 from small import START, simulated, small_fit
 
 from pgrssnn_jax.models.initial_state import InitialState, start_state
-from pgrssnn_jax.models.model import ModelParams, build_model, model_scaling
+from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Signal
 from pgrssnn_jax.physics.tanks import cascaded_tanks

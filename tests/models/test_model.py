@@ -16,12 +16,12 @@ from toys import (
     toy_signals,
 )
 
-from pgrssnn_jax.models.model import ModelParams, build_model, first_output_state, model_scaling
+from pgrssnn_jax.models.model import ModelParams, build_model, first_output_state
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.scaling import fit_scaling, model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records.scaling import fit_scaling
 
 DRAW = np.random.default_rng(5)
 TRAIN = small_record(DRAW.normal(size=(2, 12, 2)), DRAW.normal(3.0, 2.0, size=(2, 12, 2)))
@@ -56,7 +56,7 @@ def exact_physics():
     programs can differ by what the networks add alone, and not by how the compiler contracts products."""
     a, b = [[0.5, 0.25, 0.0], [-0.25, 0.5, 0.5], [0.0, -0.5, 0.25]], [[1.0, 0.0], [0.0, -1.0], [0.5, 2.0]]
     c = [[1.0, 0.0, 0.5], [0.0, 2.0, 0.0]]
-    return linear(A=a, B=b, C=c, inputs=("f", "g"), outputs=("p", "q"))
+    return lgssm(A=a, B=b, C=c, inputs=("f", "g"), outputs=("p", "q"))
 
 
 @pytest.mark.parametrize(("name", "route"), [*((name, None) for name in GUIDED), ("PG-RSSNN", "fused")])

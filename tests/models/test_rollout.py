@@ -22,7 +22,7 @@ from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Signal, discrete
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.scaling import Scaling, identity
 
 # --- the equations, sample by sample and without the package ----------------------------------------------------------
@@ -273,7 +273,7 @@ def test_zero_input_from_zero_state_is_what_the_biases_make_of_it(key):
     found = compiled(model)(params, u, x0)
     np.testing.assert_allclose(found.x, x, rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(found.y, y, rtol=1e-5, atol=1e-5)
-    still = linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+    still = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
     assert not alone(still, jnp.zeros((1, 5, 1)), jnp.zeros((1, 2))).y.any()
 
 
@@ -287,7 +287,7 @@ def alone(physics, u, x0):
 
 
 def test_a_plant_read_before_the_step_is_one_sample_late():
-    late = linear(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+    late = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
     u, x0 = jnp.ones((2, 6, 1)), jnp.array([[1.0, 2.0], [0.0, -1.0]])
     after, before = alone(late, u, x0), alone(late._replace(output_timing="before_step"), u, x0)
     np.testing.assert_array_equal(after.x, before.x)
@@ -302,7 +302,7 @@ def test_a_plant_read_before_the_step_is_one_sample_late():
 @pytest.mark.parametrize("name", ["PG-RSSNN", "PG-RSSNN(fb)", "physics"])
 def test_a_state_that_leaves_the_range_is_reported_and_disturbs_no_other(key, name):
     """x⁺ = 1e10 x + u from x0 = 0.01, 0, 1 with u = 0: the first is infinite after 5 steps, the last after 4."""
-    physics = linear(A=[[1e10]], B=[[1.0]], C=[[1.0]])
+    physics = lgssm(A=[[1e10]], B=[[1.0]], C=[[1.0]])
     model = build_model(
         ModelSpec(networks=False) if name == "physics" else spec(name, start_from_physics=True), physics
     )

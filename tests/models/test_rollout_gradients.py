@@ -19,7 +19,7 @@ from toys import (
 from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.scaling import Affine, Scaling
 
 
@@ -78,7 +78,7 @@ def test_gradient_to_the_physics_equals_finite_differences(key, name):
 @pytest.mark.parametrize("route", ["fused", "split"])
 def test_padding_holds_the_state_and_spoils_no_gradient(key, route):
     """An unstable system runs out of the floating-point range in 400 samples of padding, were it not held."""
-    unstable = linear(A=[[1.3]], B=[[1.0]], C=[[1.0]])
+    unstable = lgssm(A=[[1.3]], B=[[1.0]], C=[[1.0]])
     model = build_model(ModelSpec(hidden=3), unstable)
     one, zero = np.ones(1), np.zeros(1)
     scaling = Scaling(Affine(zero, one), Affine(zero, one), Affine(zero, one))

@@ -10,8 +10,8 @@ from omegaconf import OmegaConf
 from paper_samples import begin_run, spread_over, write_run
 from rich.console import Console
 
+from pgrssnn_jax.cli.report import prepare_report, report_run, run_roots
 from pgrssnn_jax.paper.collect import collect
-from pgrssnn_jax.paper.command import prepare_report, report_run, run_roots
 from pgrssnn_jax.paper.published import read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
 from pgrssnn_jax.reports.markup import PNG_SIGNATURE

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pgrssnn_jax.physics.base import Parameter, Signal, check_physics, continuous, discrete, is_parameter
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SIGNALS = {"states": (Signal("x"),), "inputs": (Signal("u"),), "outputs": (Signal("y"),)}
@@ -23,7 +23,7 @@ def read(p, x, u):
     [
         cascaded_tanks(),
         cascaded_tanks(clamp=True),
-        linear(A=[[0.5]], B=[[1.0]], C=[[2.0]]),
+        lgssm(A=[[0.5]], B=[[1.0]], C=[[2.0]]),
         discrete("nested", decay, read, {"rate": 1.0, "more": {"list": [1.0, np.ones(3)]}}, dt=1.0, **SIGNALS),
     ],
     ids=["tanks", "clamped", "lgssm", "nested"],

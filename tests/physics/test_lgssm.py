@@ -7,7 +7,7 @@ import scipy.signal
 from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.scaling import Scaling, identity
 
 PUBLISHED = {"A": [[0.7, 0.8], [0.0, 0.1]], "B": [[-1.0], [0.1]], "C": [[1.0, 0.0]]}
@@ -30,14 +30,14 @@ def test_published_system_equals_scipy():
     a, b, c = (np.array(PUBLISHED[name]) for name in "ABC")
     u = np.random.default_rng(0).normal(size=(50, 1))
     _, y, before = scipy.signal.dlsim((a, b, c @ a, c @ b, 1.0), u, x0=[0.4, -0.2])
-    found = simulate(linear(**PUBLISHED), u[None], np.array([[0.4, -0.2]]))
+    found = simulate(lgssm(**PUBLISHED), u[None], np.array([[0.4, -0.2]]))
     np.testing.assert_allclose(found.y[0], y, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(found.x[0, :-1], before[1:], rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.usefixtures("x64")
 def test_several_inputs_and_outputs_equal_a_loop():
-    physics = linear(**WIDE, inputs=("f", "g"), outputs=("p", "q"))
+    physics = lgssm(**WIDE, inputs=("f", "g"), outputs=("p", "q"))
     draw = np.random.default_rng(1)
     u, x = draw.normal(size=(2, 9, 2)), draw.normal(size=(2, 3))
     found = simulate(physics, u, x)
@@ -51,7 +51,7 @@ def test_several_inputs_and_outputs_equal_a_loop():
 
 
 def test_first_input_acts_on_first_output():
-    physics = linear(**PUBLISHED)
+    physics = lgssm(**PUBLISHED)
     u = np.zeros((1, 3, 1), np.float32)
     u[0, 0] = 1.0
     y = simulate(physics, u, np.zeros((1, 2), np.float32)).y[0, :, 0]
@@ -59,7 +59,7 @@ def test_first_input_acts_on_first_output():
 
 
 def test_signals_are_named_and_every_matrix_means_something():
-    physics = linear(**WIDE, inputs=("f", "g"), outputs=("p", "q"), dt=0.1)
+    physics = lgssm(**WIDE, inputs=("f", "g"), outputs=("p", "q"), dt=0.1)
     assert [s.name for s in physics.states] == ["x1", "x2", "x3"]
     assert [s.name for s in physics.inputs] == ["f", "g"]
     assert [s.name for s in physics.outputs] == ["p", "q"]
@@ -68,7 +68,7 @@ def test_signals_are_named_and_every_matrix_means_something():
 
 
 def test_single_precision_stays_single():
-    physics = linear(**PUBLISHED)
+    physics = lgssm(**PUBLISHED)
     x = jax.jit(physics.step)(physics.params, jnp.ones(2, jnp.float32), jnp.ones(1, jnp.float32))
     assert x.dtype == jnp.float32
 
@@ -84,9 +84,9 @@ def test_single_precision_stays_single():
 )
 def test_wrong_shapes_are_named(name, matrix, expected):
     with pytest.raises(ValueError, match=rf"{name}: expected shape {expected}"):
-        linear(**{**PUBLISHED, name: matrix})
+        lgssm(**{**PUBLISHED, name: matrix})
 
 
 def test_matrices_must_fit_the_signal_names():
     with pytest.raises(ValueError, match=r"B: expected shape \(2, 2\), found \(2, 1\)"):
-        linear(**PUBLISHED, inputs=("f", "g"))
+        lgssm(**PUBLISHED, inputs=("f", "g"))

@@ -8,9 +8,9 @@ from toys import small_record
 from pgrssnn_jax.discovery.problem import build_problem, start_guess
 from pgrssnn_jax.discovery.stretches import stretches
 from pgrssnn_jax.models.model import build_model, first_output_state
-from pgrssnn_jax.models.networks import ModelSpec
+from pgrssnn_jax.models.scaling import fit_scaling
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics, Signal, check_physics, continuous, measured_rate
-from pgrssnn_jax.records.scaling import fit_scaling
 
 K, C, M, DT = 4.0, 0.3, (1.0, 2.0), 0.1
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pgrssnn_jax.data.csv_files import read_csv, write_csv
+from pgrssnn_jax.records.csv import read_csv, write_csv
 from pgrssnn_jax.records.record import Channel, RecordInfo, record, stack
 
 U, Y = (Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),)

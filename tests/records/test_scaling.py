@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from toys import small_record
 
+from pgrssnn_jax.models.scaling import fit_scaling
 from pgrssnn_jax.physics.base import Signal, discrete
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.record import Splits, cast, stack
-from pgrssnn_jax.records.scaling import Affine, fit_scaling, identity, measured_units, signal_scaling, standardise
+from pgrssnn_jax.records.scaling import Affine, identity, measured_units, signal_scaling
 
 DRAW = np.random.default_rng(3)
 U = DRAW.normal([1.0, -2.0], [0.5, 3.0], size=(2, 30, 2))
@@ -191,7 +192,7 @@ def test_any_other_state_is_scaled_by_simulation_from_zero():
 
 
 def test_states_that_leave_the_floating_point_range_do_not_spoil_the_others():
-    physics = linear(A=[[1e30, 0.0], [0.0, 0.5]], B=[[1.0], [1.0]], C=[[1.0, 0.0]])
+    physics = lgssm(A=[[1e30, 0.0], [0.0, 0.5]], B=[[1.0], [1.0]], C=[[1.0, 0.0]])
     scaling = fit_scaling(small_record(U[..., :1], Y[..., :1]), physics)
     assert all(np.isfinite(a).all() for a in jax.tree.leaves(scaling))
     assert 0.1 < scaling.x.scale[1] < 10.0

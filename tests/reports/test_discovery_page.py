@@ -12,7 +12,7 @@ from test_report_page import Reader
 
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.arms.build import arm
-from pgrssnn_jax.physics.linear import linear
+from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.reports import discovery_summary as summary
 from pgrssnn_jax.reports.discovery_page import discovery_page
@@ -147,7 +147,7 @@ def test_numbers_by_joint_name_their_joint():
 ONE = [[1.0, 0.0], [0.0, 1.0]]
 EFFECTS = [
     pytest.param(effect, id=f"{physics.name} {effect.name}")
-    for physics in (cascaded_tanks(), linear(A=ONE, B=ONE, C=ONE, inputs=["f", "g"], outputs=["p", "q"]), arm())
+    for physics in (cascaded_tanks(), lgssm(A=ONE, B=ONE, C=ONE, inputs=["f", "g"], outputs=["p", "q"]), arm())
     for effect in catalogue(physics)
 ]
 
