@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from pgrssnn_jax.discovery.locate import box, intervals
 from pgrssnn_jax.discovery.problem import Signals
@@ -38,6 +39,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
             key: {
                 "value": np.asarray(numbers[key]).tolist(),
                 "std": np.asarray(std[key]).tolist(),
+                "interval": _interval(numbers[key], std[key], len(search.final.folds)),
                 "unit": meaning.unit,
                 "symbol": meaning.symbol,
                 "at_bound": at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
@@ -76,6 +78,12 @@ def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> 
     ends = [end for end in bounds if np.isfinite(end) and end != neutral]
     near = [np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends]
     return np.asarray(np.any([np.zeros_like(value, bool), *near], axis=0))
+
+
+def _interval(value: Any, std: Any, folds: int) -> list[Any]:
+    """95 % interval, lowest and highest, of an estimate whose deviation comes from so many folds (Student's t)."""
+    half = stats.t.ppf(0.975, folds - 1) * np.asarray(std)
+    return [(np.asarray(value) - half).tolist(), (np.asarray(value) + half).tolist()]
 
 
 def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:

@@ -49,7 +49,7 @@ class CheckpointFolder:
         epoch = self._manager.latest_step()
         if epoch is None:
             raise ValueError(f"checkpoint: expected one in {str(self._manager.directory)!r}, found none")
-        found, expected = self._manager.restore(epoch, args=ocp.args.StandardRestore()), _named(like)
+        found, expected = _today(self._manager.restore(epoch, args=ocp.args.StandardRestore())), _named(like)
         trees: list[Any] = []
         for name in ("state", "scaling", "units"):
             here, there = (_shapes(named.get(name, {}), any_shape) for named in (found, expected))
@@ -82,6 +82,12 @@ def _named(checkpoint: Checkpoint) -> dict[str, Any]:
     if checkpoint.losses.epochs:  # orbax refuses arrays without elements
         named["losses"] = checkpoint.losses._asdict()
     return named
+
+
+def _today(found: dict[str, Any]) -> dict[str, Any]:
+    """A checkpoint of an earlier version under the names of this one."""
+    state = {name.replace(".retreats", ".rollbacks"): leaf for name, leaf in found.get("state", {}).items()}
+    return {**found, "state": state}
 
 
 def _shapes(named: dict[str, Any], any_shape: bool) -> dict[str, tuple[int, ...]]:
