@@ -4,13 +4,12 @@
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from pgrssnn_jax.paper.published import Paper
-from pgrssnn_jax.paper.rows import EvidenceTable, Row
-from pgrssnn_jax.paper.tables import cells, header, problems, rule
-from pgrssnn_jax.reports.content import MISSING
-from pgrssnn_jax.reports.tables import one_line
+from pgrssnn_jax.paper.rows import EvidenceTable
+from pgrssnn_jax.paper.tables import one_line, problems, rule, table_of
+from pgrssnn_jax.reports.content import MISSING, shown
 
 _LEFT_OUT = ("failed", "time")  # members says as much, and the cost stands elsewhere
 _SIGNS = {
@@ -27,37 +26,36 @@ def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
 
 
 def _float(table: EvidenceTable, paper: Paper) -> str:
-    names = header(table)
-    shown = [k for k, name in enumerate(names) if name not in _LEFT_OUT]
-
-    def line(texts: Sequence[str]) -> str:
-        return "    " + " & ".join(texts[k] for k in shown) + r" \\"
-
-    def shown_row(row: Row) -> str:
-        name, *figures = map(_figure, cells(row, table))
-        return line([rf"\textit{{{name}}}" if row.state == "quoted" else name, *figures])
-
-    rows = [shown_row(row) for row in table.rows]
-    below = [escaped(text) for text in [*rule(table, paper), *problems(table)]]
-    quoted = [escaped("† quoted from the literature.")] if any(row.state == "quoted" for row in table.rows) else []
+    whole = table_of(table)
+    made = whole.only([name for name in whole.header if name not in _LEFT_OUT])
+    rows = []
+    for look, cells in made.rows:
+        name, *figures = (_figure(shown(cell)) for cell in cells)
+        rows.append([rf"\textit{{{name}}}" if look == "quoted" else name, *figures])
+    quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
+    below = map(escaped, [*quoted, *rule(table, paper), *problems(table)])
     caption = f"{table.title}: {table.heading}, beside the figures of {paper.source}."
     return "\n".join(
         [
             r"\begin{table}",
             r"  \centering\scriptsize\setlength{\tabcolsep}{2.5pt}",
             f"  \\caption{{{escaped(caption)}}}\\label{{tab:{table.slug}}}",
-            f"  \\makebox[\\linewidth][c]{{\\begin{{tabular}}{{l{'r' * (len(shown) - 1)}}}",
+            f"  \\makebox[\\linewidth][c]{{\\begin{{tabular}}{{l{'r' * (len(made.header) - 1)}}}",
             r"    \toprule",
-            line([escaped(name) for name in names]),
+            _line(map(escaped, made.header)),
             r"    \midrule",
-            *rows,
+            *map(_line, rows),
             r"    \bottomrule",
             r"  \end{tabular}}",
-            *(f"  \\par\\smallskip\\parbox{{\\linewidth}}{{\\scriptsize {text}}}" for text in [*quoted, *below]),
+            *(f"  \\par\\smallskip\\parbox{{\\linewidth}}{{\\scriptsize {text}}}" for text in below),
             r"\end{table}",
             "",
         ]
     )
+
+
+def _line(texts: Iterable[str]) -> str:
+    return "    " + " & ".join(texts) + r" \\"
 
 
 def _figure(cell: str) -> str:
