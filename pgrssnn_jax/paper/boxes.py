@@ -29,7 +29,7 @@ def box_figure(table: EvidenceTable, paper: Paper) -> Figure:
         f"{counted[0]} of {counted[1]} members finished in the runs there are",
         f"box: quartiles, line: median, whiskers: all members · published: {paper.source}, means over runs",
     ]
-    figure = style.headed(11.0, ROW * len(rows) + 0.75, table.title, lines, loud(table))
+    figure = style.headed(ROW * len(rows) + 0.75, table.title, lines, loud(table))
     ax = style.quiet(figure.add_subplot(), x=style.label(f"test {table.merit.upper()}", table.unit))
     ax.grid(False, axis="y")
     ax.set_yticks(range(len(rows)), [style.plain(row.label) for row in rows], color=style.INK, fontsize=8.5)

@@ -42,7 +42,7 @@ def can_be_curves(table: EvidenceTable) -> bool:
 def efficiency_figure(table: EvidenceTable, paper: Paper) -> Figure:
     """Mean over members against the samples trained on, and where all of them lie."""
     lines = ["line: mean over finished members, band: from the least to the greatest of them, dots: members"]
-    figure = style.headed(11.0, 4.1, table.title, [*lines, f"published: {paper.source}"], loud(table))
+    figure = style.headed(4.1, table.title, [*lines, f"published: {paper.source}"], loud(table))
     panels = [(table.merit, table.merit.upper(), table.unit), ("cc", "CC", "")]
     for k, (merit, name, unit) in enumerate(panels):
         ax = figure.add_subplot(1, 2, k + 1)
@@ -124,7 +124,7 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
     what = f"beside its name the {table.merit.upper()} of the curve"
     lines = [f"free run over the test record; a curve is the mean prediction of the finished members, {what}"]
     lines += [f"left out, no prediction: {', '.join(left_out)}"] if left_out else []
-    figure = style.headed(11.0, 5.4, f"{table.title} · {_amount(table, paper)}: {size}", lines, loud(table))
+    figure = style.headed(5.4, f"{table.title} · {_amount(table, paper)}: {size}", lines, loud(table))
     top, under = figure.add_subplot(2, 1, 1), figure.add_subplot(2, 1, 2)
     if metrics is None:
         for ax in (top, under):

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, style
@@ -23,7 +22,7 @@ def members_figure(metrics: Metrics) -> Figure:
     finished, failed = content.ranked(content.member_rows(metrics))
     several = len(metrics["outputs"]) > 1
     lines = [f"{content.counts(metrics)} · n_init {metrics['n_init']}", content.source(metrics)]
-    figure = style.page(11.0, 3.8, metrics, lines)
+    figure = style.page(3.8, metrics, lines)
     grid = figure.add_gridspec(1, 2, width_ratios=[1.6, 1.0]) if several else figure.add_gridspec(1, 1)
     handles = _draw_ranking(figure.add_subplot(grid[0]), finished, failed, metrics)
     if several:
@@ -38,9 +37,8 @@ def _draw_ranking(ax: Axes, finished: list[MemberRow], failed: list[MemberRow], 
     named = 0 < len(order) <= NAMED_MEMBERS
     several_datasets = len({row.dataset for row in order}) > 1
     what = "members by seed" + (" / dataset" if several_datasets else "") if named else "members, best to worst"
-    style.quiet(
-        ax, x=f"{what}, best to worst" if named else what, y=style.label(f"test {content.merit(metrics)}", unit)
-    )
+    label = style.label(f"test {content.merit(metrics)}", unit)
+    style.quiet(ax, x=f"{what}, best to worst" if named else what, y=label)
     ax.grid(False, axis="x")
     if named:
         names = [f"{row.seed}/{row.dataset}" if several_datasets else str(row.seed) for row in order]
@@ -53,7 +51,7 @@ def _draw_ranking(ax: Axes, finished: list[MemberRow], failed: list[MemberRow], 
     if len(usable) and usable.max() > 20 * np.median(usable) and usable.min() > 0:
         ax.set_yscale("log")
     ax.plot(range(1, len(rmse) + 1), rmse, "o", color=style.BLUE, markersize=6 if named else 4.5, alpha=0.9, zorder=3)
-    handles: list[Artist] = [Line2D([], [], color=style.BLUE, marker="o", linewidth=0, markersize=5, label="member")]
+    handles: list[Artist] = [style.dots("member", style.BLUE, markersize=5)]
     if np.isfinite([summary.mean, summary.std]).all():
         low, high = summary.mean - summary.std, summary.mean + summary.std
         ax.fill_between([0, end], low, high, color=style.SKY, alpha=0.16, linewidth=0)
@@ -68,20 +66,13 @@ def _draw_ranking(ax: Axes, finished: list[MemberRow], failed: list[MemberRow], 
         value = getattr(summary, name)
         if np.isfinite(value):
             ax.hlines(value, 0, end, color=colour, linestyle=dash, linewidth=1.3, zorder=2)
-            handles.append(Line2D([], [], color=colour, linestyle=dash, label=f"{name} {rounded(value, unit)}"))
+            handles.append(style.key(f"{name} {rounded(value, unit)}", colour, linestyle=dash))
     if failed:
         ax.axvspan(end, len(order) + 1, color=style.VERMILLION, alpha=0.10, linewidth=0)
         places, top = np.arange(len(finished), len(order)) + 1, np.full(len(failed), 0.94)
-        ax.plot(
-            places,
-            top,
-            "x",
-            color=style.VERMILLION,
-            transform=ax.get_xaxis_transform(),
-            markersize=7,
-            markeredgewidth=1.8,
-        )
-        handles.append(Line2D([], [], color=style.VERMILLION, marker="x", linewidth=0, label=f"failed ({len(failed)})"))
+        look = {"color": style.VERMILLION, "markersize": 7, "markeredgewidth": 1.8}
+        ax.plot(places, top, "x", transform=ax.get_xaxis_transform(), **look)
+        handles.append(style.dots(f"failed ({len(failed)})", style.VERMILLION, "x"))
     if not len(usable):
         ax.set_yticks([])
         style.note(ax, "no member finished")
@@ -94,9 +85,7 @@ def _draw_outputs(ax: Axes, metrics: Metrics) -> None:
     values = np.array(tests, float).reshape(len(tests), len(names))
     style.quiet(ax, title="by output", x="output", y="test NRMSE (–)")
     ax.grid(False, axis="x")
-    ax.set_xticks(
-        range(len(names)), [style.plain(name) for name in names], rotation=30, ha="right", rotation_mode="anchor"
-    )
+    ax.set_xticks(range(len(names)), list(map(style.plain, names)), rotation=30, ha="right", rotation_mode="anchor")
     ax.set_xlim(-0.6, len(names) - 0.4)
     for k, column in enumerate(values.T):
         column = column[np.isfinite(column)]

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import MISSING, Metrics
@@ -55,7 +54,7 @@ def stick_figure(
     n_seq = len(predictions["skeleton_measured"])
     of_which = f"sequence {sequence + 1} of {n_seq} · " if n_seq > 1 else ""
     lines = [f"{tip_result(poses, metrics)} · n_init {metrics['n_init']}", f"{of_which}{content.source(metrics)}"]
-    figure = style.page(11.0, rows * (cell + 0.3) + 1.9, metrics, lines)
+    figure = style.page(rows * (cell + 0.3) + 1.9, metrics, lines)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[cell + 0.3] * rows, 1.9])
     for k, sample in enumerate(shown):
         ax = figure.add_subplot(grid[k // columns, k % columns])
@@ -143,9 +142,9 @@ def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics, shown: np.ndarray) 
 
 def _handles() -> list[Artist]:
     return [
-        Line2D([], [], color=style.TRUTH, linewidth=4.6, marker="o", markersize=6.4, label="measured"),
-        Line2D([], [], color=style.BLUE, linewidth=1.6, marker="o", markersize=3.2, label="predicted"),
-        Line2D([], [], color=style.VERMILLION, linewidth=1.4, label="distance of the tips"),
-        Line2D([], [], color=style.QUIET, linewidth=0.7, label="path of the tip so far"),
-        Line2D([], [], color=SHADOW, linewidth=2.6, label="measured arm from above, on the floor"),
+        style.key("measured", style.TRUTH, linewidth=4.6, marker="o", markersize=6.4),
+        style.key("predicted", style.BLUE, linewidth=1.6, marker="o", markersize=3.2),
+        style.key("distance of the tips", style.VERMILLION, linewidth=1.4),
+        style.key("path of the tip so far", style.QUIET, linewidth=0.7),
+        style.key("measured arm from above, on the floor", SHADOW, linewidth=2.6),
     ]

@@ -7,7 +7,6 @@ import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import MemberRow, Metrics
@@ -38,7 +37,7 @@ def training_figure(history: pd.DataFrame, metrics: Metrics) -> Figure:
     best = f" · parameters kept from epoch {int(np.median(kept))} (median of members)" if kept else ""
     seconds = content.duration(metrics["seconds"].get("train"))
     lines = [f"{content.counts(metrics)} · {epochs}{best} · training {seconds}", content.source(metrics)]
-    figure = style.page(11.0, 4.0, metrics, lines)
+    figure = style.page(4.0, metrics, lines)
     left = figure.add_subplot(1, 2, 1)
     right = figure.add_subplot(1, 2, 2, sharex=left, sharey=left)
     style.quiet(left, title="training", x="epoch", y=LOSS)
@@ -97,15 +96,13 @@ def _draw(ax: Axes, found: dict[tuple[int, int], Curve], rows: list[MemberRow], 
 
 def _handles(any_failed: bool, any_best: bool) -> list[Artist]:
     handles: list[Artist] = [
-        Line2D([], [], color=style.BLUE, linewidth=2.0, label="training, median"),
-        Line2D([], [], color=style.VERMILLION, linewidth=2.0, label="validation, median"),
-        Line2D([], [], color=style.QUIET, linewidth=0.7, alpha=0.7, label="members"),
+        style.key("training, median", style.BLUE, linewidth=2.0),
+        style.key("validation, median", style.VERMILLION, linewidth=2.0),
+        style.key("members", style.QUIET, linewidth=0.7, alpha=0.7),
     ]
     if any_best:
-        handles.append(
-            Line2D([], [], color=style.INK, marker="o", markersize=3.5, linewidth=0, label="parameters kept")
-        )
+        handles.append(style.dots("parameters kept", style.INK, markersize=3.5))
     if any_failed:
         look = {"marker": "x", "markersize": 6, "markeredgewidth": 1.6, "linestyle": (0, (4, 2)), "linewidth": 0.8}
-        handles.append(Line2D([], [], color=style.INK, label="failed", **look))
+        handles.append(style.key("failed", style.INK, **look))
     return handles

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from test_report_figures import texts
 
 from pgrssnn_jax.reports import discovery_figures as figures
-from pgrssnn_jax.reports import discovery_panels as panels
+from pgrssnn_jax.reports import panels
 
 
 def named(figure: Figure, gid: str) -> list[Any]:
@@ -192,3 +192,16 @@ def test_an_uncertain_shift_does_not_hide_the_others():
     wild = {"k": {"before": 1.0, "after": 1.1, "std": 1e6, "unit": ""}}
     low, high = figures.shifts_figure(TANK[0] | {"recalibration": wild, "parameters": {}}).axes[0].get_xlim()
     assert high - low < 40
+
+
+def test_a_discovery_is_drawn_from_arrays_alone():
+    _, arrays = ARM
+    simulated = {stage: arrays[f"y_{stage}_test"] for stage in STAGES}
+    given = {"time": arrays["time_test"], "outputs": ARM[0]["outputs"], "title": "an arm", "sequence": 1}
+    figure = figures.discovery_figure(arrays["y_test"], simulated, **given)
+    for stage in STAGES:
+        drawn = named(figure, stage)
+        assert len(drawn) == 12
+        np.testing.assert_array_equal(drawn[0].get_ydata(), simulated[stage][1, :, 0])
+    assert "an arm" in texts(figure)
+    assert "sequence 2 of 2" in texts(figure)
