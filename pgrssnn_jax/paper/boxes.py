@@ -1,6 +1,6 @@
 """How the seeds of every variant spread: one box per row of a table, beside the published figure."""
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -17,6 +17,9 @@ from pgrssnn_jax.reports import style
 
 COLOURS = {"guided": style.BLUE, "black_box": style.YELLOW, "baseline": style.GREEN, "physics": style.QUIET}
 KINDS = {"guided": "physics-guided", "black_box": "black box", "baseline": "other baseline", "physics": "physics only"}
+PUBLISHED: dict[str, Any] = {"marker": "D", "markersize": 6, "markerfacecolor": "white", "markeredgewidth": 1.5}
+PUBLISHED["markeredgecolor"] = style.VERMILLION
+ALONE: dict[str, Any] = {"color": style.QUIET, "linestyle": (0, (4, 2))}
 ROW = 0.34  # inches
 FAR = 12.0  # largest over smallest figure, from which on the axis is logarithmic
 
@@ -34,29 +37,30 @@ def box_figure(table: EvidenceTable, paper: Paper) -> Figure:
     ax.grid(False, axis="y")
     ax.set_yticks(range(len(rows)), [style.plain(row.label) for row in rows], color=style.INK, fontsize=8.5)
     ax.set_ylim(len(rows) - 0.4, -0.6)
-    places = [value for row in rows for value in row.values(table.merit) if np.isfinite(value)]
-    published = [row.published.mean if row.published and row.published.mean is not None else None for row in rows]
-    shown = np.array([*places, *(mean for mean in published if mean is not None)])
+    published = {
+        k: row.published.mean for k, row in enumerate(rows) if row.published and row.published.mean is not None
+    }
+    shown = np.array([*(value for row in rows for value in row.finite(table.merit)), *published.values()])
     if len(shown) and shown.min() > 0 and shown.max() > FAR * shown.min():
         ax.set_xscale("log")
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.xaxis.set_major_formatter("{x:g}")
         ax.xaxis.set_minor_formatter(NullFormatter())
     for place, row in enumerate(rows):
-        _draw_row(ax, place, row, _colour(row, paper), table.merit)
-    for place, mean in enumerate(published):
-        if mean is not None:
-            look = {"markerfacecolor": "white", "markeredgecolor": style.VERMILLION, "markeredgewidth": 1.5}
-            ax.plot(mean, place, "D", markersize=6, zorder=4, gid="published", **look)
+        _draw_row(ax, place, row, COLOURS[_kind(row, paper)], table.merit)
+    for place, mean in published.items():
+        ax.plot(mean, place, linewidth=0, zorder=4, gid="published", **PUBLISHED)
     physics = [row for row in table.measured if _kind(row, paper) == "physics"]
     if len(physics) == 1:
-        ax.axvline(
-            physics[0].figures.mean, color=style.QUIET, linestyle=(0, (4, 2)), linewidth=1.1, zorder=1, gid="physics"
-        )
+        ax.axvline(physics[0].figures.mean, linewidth=1.1, zorder=1, gid="physics", **ALONE)
     if not len(shown):
         ax.set_xticks([])
         style.note(ax, "no member finished")
-    style.legend(figure, _handles(rows, paper, any(m is not None for m in published), len(physics) == 1))
+    kinds = {_kind(row, paper) for row in rows} - ({"physics"} if len(physics) == 1 else set())
+    handles: list[Artist] = [Patch(facecolor=COLOURS[k], alpha=0.45, label=KINDS[k]) for k in KINDS if k in kinds]
+    handles += [Line2D([], [], label="physics only", **ALONE)] if len(physics) == 1 else []
+    handles += [Line2D([], [], linewidth=0, label="published mean", **PUBLISHED)] if published else []
+    style.legend(figure, handles)
     return figure
 
 
@@ -79,47 +83,20 @@ def _kind(row: Row, paper: Paper) -> str:
     return known.kind if known else "baseline"
 
 
-def _colour(row: Row, paper: Paper) -> str:
-    return COLOURS[_kind(row, paper)]
-
-
 def _draw_row(ax: Axes, place: int, row: Row, colour: str, merit: str) -> None:
-    values = np.array([value for value in row.values(merit) if np.isfinite(value)])
+    values = row.finite(merit)
     if len(values) > 1:
         line = {"color": style.INK, "linewidth": 0.9}
-        ax.boxplot(
-            values,
-            positions=[place],
-            widths=0.56,
-            orientation="horizontal",
-            manage_ticks=False,
-            whis=(0, 100),
-            patch_artist=True,
-            boxprops={"facecolor": colour, "alpha": 0.30, "edgecolor": style.INK, "linewidth": 0.9},
-            medianprops={"color": style.INK, "linewidth": 1.7},
-            whiskerprops=line,
-            capprops=line,
-        )
+        looks: dict[str, Any] = {"whiskerprops": line, "capprops": line, "medianprops": line | {"linewidth": 1.7}}
+        looks["boxprops"] = {"facecolor": colour, "alpha": 0.30, "edgecolor": style.INK, "linewidth": 0.9}
+        place_of = {"positions": [place], "widths": 0.56, "orientation": "horizontal", "manage_ticks": False}
+        ax.boxplot(values, whis=(0, 100), patch_artist=True, **place_of, **looks)
     lift = 0.15 * np.sin(2.4 * np.arange(len(values))) if len(values) > 1 else np.zeros(len(values))
     ax.plot(values, place + lift, "o", color=colour, markersize=3.6, alpha=0.8, markeredgewidth=0, zorder=3)
-    at = {"transform": ax.get_yaxis_transform(), "va": "center", "fontsize": 8}
-    if row.run is None or row.run.metrics is None:
-        ax.text(1.01, place, row.state, color=style.VERMILLION, **at)
-    elif row.failed:
+    good = row.run is not None and row.run.metrics is not None and not row.failed
+    text = f"{len(row.finished)} of {row.planned}" if good else row.state
+    if row.failed:
         text = f"{len(row.failed)} of {row.planned} failed: {who(row, row.failed[:4])}"
         text += f" and {len(row.failed) - 4} more" if len(row.failed) > 4 else ""
-        ax.text(1.01, place, text, color=style.VERMILLION, **at)
-    else:
-        ax.text(1.01, place, f"{len(row.finished)} of {row.planned}", color=style.QUIET, **at)
-
-
-def _handles(rows: Sequence[Row], paper: Paper, published: bool, alone: bool) -> list[Artist]:
-    kinds = {_kind(row, paper) for row in rows}
-    boxed = kinds - {"physics"} if alone else kinds
-    handles: list[Artist] = [Patch(facecolor=COLOURS[k], alpha=0.45, label=KINDS[k]) for k in KINDS if k in boxed]
-    if alone:
-        handles.append(Line2D([], [], color=style.QUIET, linestyle=(0, (4, 2)), label="physics only"))
-    if published:
-        look = {"marker": "D", "markerfacecolor": "white", "markeredgecolor": style.VERMILLION, "markeredgewidth": 1.5}
-        handles.append(Line2D([], [], linewidth=0, markersize=6, label="published mean", **look))
-    return handles
+    at = {"transform": ax.get_yaxis_transform(), "va": "center", "fontsize": 8}
+    ax.text(1.01, place, text, color=style.QUIET if good else style.VERMILLION, **at)

@@ -30,11 +30,7 @@ COLUMNS = 4
 
 
 def stick_figure(
-    predictions: Mapping[str, np.ndarray],
-    metrics: Metrics,
-    *,
-    sequence: int = 0,
-    shots: int = 8,
+    predictions: Mapping[str, np.ndarray], metrics: Metrics, *, sequence: int = 0, shots: int = 8
 ) -> Figure:
     """Up to `shots` poses at evenly spaced times of test sequence `sequence`, all to one scale, and the tip's error.
 
@@ -45,7 +41,7 @@ def stick_figure(
         raise ValueError(f"stick_figure: shots: expected at least 1, found {shots}")
     poses = read_poses(predictions, sequence)
     time, stage = len(poses.measured), set_stage(poses)
-    shown = np.unique(np.linspace(0, time - 1, min(shots, time)).round().astype(int))
+    shown = evenly(time, shots)
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     width, height = stage.high - stage.low
@@ -63,6 +59,11 @@ def stick_figure(
     _draw_distance(figure.add_subplot(grid[rows, :]), poses, metrics, shown)
     style.legend(figure, _handles())
     return figure
+
+
+def evenly(time: int, most: int) -> np.ndarray:
+    """At most so many samples, from the first to the last."""
+    return np.unique(np.linspace(0, time - 1, min(most, time)).round().astype(int))
 
 
 def tip_result(poses: Poses, metrics: Metrics) -> str:
