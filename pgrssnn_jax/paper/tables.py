@@ -1,8 +1,8 @@
-"""The tables of many runs as text: what stands in each cell, the notes below, the terminal, Markdown and CSV."""
+"""The tables of many runs as text: what stands in each cell, the notes below, the terminal, Markdown, LaTeX and CSV."""
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import pandas as pd
@@ -17,6 +17,13 @@ QUOTED = "†"
 SHOWN_SEEDS = 12
 LEFT_OUT = ("median", "failed", "best", "ensemble", "time", "CC")  # where the terminal is too narrow, in this order
 GAP = 2  # letters between columns
+_NOT_IN_LATEX = ("failed", "time")  # members says as much, and the cost stands elsewhere
+_SIGNS = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
+    "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"$<$", ">": r"$>$", "|": r"$|$", "±": r"$\pm$",
+    "²": r"$^2$", "·": r"$\cdot$", "†": r"$^\dagger$", "–": r"\textendash{}", "…": r"\dots{}", "−": r"$-$", '"': "''",
+    "[": "{[}", "*": "{*}",
+}  # fmt: skip
 
 
 def table_of(table: EvidenceTable) -> Table:
@@ -154,6 +161,56 @@ def one_line(text: str) -> str:
 def _escaped(text: str) -> str:
     """Text as it stands in Markdown, on one line; a cell's bars are escaped by its table."""
     return re.sub(r"([\\`*_\[\]<>#~])", r"\\\1", one_line(text))
+
+
+def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
+    """Floats with booktabs rules, and nothing that needs another package."""
+    head = "% \\usepackage{booktabs} in the preamble, \\input{tables.tex} in the document\n"
+    return head + "\n".join(_float(table, paper) for table in tables)
+
+
+def _float(table: EvidenceTable, paper: Paper) -> str:
+    whole = table_of(table)
+    made = whole.only([name for name in whole.header if name not in _NOT_IN_LATEX])
+    rows = []
+    for look, cells in made.rows:
+        name, *figures = (_latex_cell(shown(cell)) for cell in cells)
+        rows.append([rf"\textit{{{name}}}" if look == "quoted" else name, *figures])
+    quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
+    below = map(latex_escaped, [*quoted, *rule(table, paper), *problems(table)])
+    caption = f"{table.title}: {table.heading}, beside the figures of {paper.source}."
+    return "\n".join(
+        [
+            r"\begin{table}",
+            r"  \centering\scriptsize\setlength{\tabcolsep}{2.5pt}",
+            f"  \\caption{{{latex_escaped(caption)}}}\\label{{tab:{table.slug}}}",
+            f"  \\makebox[\\linewidth][c]{{\\begin{{tabular}}{{l{'r' * (len(made.header) - 1)}}}",
+            r"    \toprule",
+            _line(map(latex_escaped, made.header)),
+            r"    \midrule",
+            *map(_line, rows),
+            r"    \bottomrule",
+            r"  \end{tabular}}",
+            *(f"  \\par\\smallskip\\parbox{{\\linewidth}}{{\\scriptsize {text}}}" for text in below),
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+def _line(texts: Iterable[str]) -> str:
+    return "    " + " & ".join(texts) + r" \\"
+
+
+def _latex_cell(cell: str) -> str:
+    """A cell; a bare number becomes one of LaTeX's, whose minus is a minus."""
+    return f"${cell}$" if cell != MISSING and re.fullmatch(r"[+-]?[\d.]+(e[+-]\d+)?", cell) else latex_escaped(cell)
+
+
+def latex_escaped(text: str) -> str:
+    """Text as it stands; a letter that plain LaTeX has no glyph for becomes a question mark."""
+    known = "".join(_SIGNS.get(c) or (c if c.isascii() or "À" <= c <= "ÿ" else "?") for c in one_line(text))
+    return known.replace("--", "-{}-")  # two hyphens would become a dash
 
 
 def frame(tables: Sequence[EvidenceTable]) -> pd.DataFrame:

@@ -125,7 +125,7 @@ def _limbs(places: np.ndarray, colour: str, wide: float, clock: _Clock, joints: 
 
 def _distance(poses: Poses, metrics: Metrics, shown: np.ndarray, clock: _Clock) -> Markup:
     """The distance between the tips against time, and where the arm above is on it."""
-    distance, time = stick.tip_distance(poses), len(poses.measured)
+    distance, time = poses.tip_distance, len(poses.measured)
     bottom, wide = TOP + ARM + STRIP, WIDTH - 2 * MARGIN
     most = float(np.max(distance, initial=0.0, where=np.isfinite(distance))) or 1.0
     drawn, last = stick.evenly(time, CURVE), max(time - 1, 1)

@@ -19,6 +19,7 @@ from pgrssnn_jax.reports import discovery_summary as summary
 from pgrssnn_jax.reports.discovery_panels import COLOURS, Arrays
 from pgrssnn_jax.reports.discovery_summary import Discovery, real
 
+NO_HEADER = style.Header()
 NOT_CHOSEN = "#b9c3cd"
 SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 
@@ -61,10 +62,7 @@ def simulation_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0
         outputs=metrics["outputs"],
         stages=("before", "after"),
         sequence=sequence,
-        title=content.heading(metrics),
-        result=summary.gap_line(discovery),
-        source=content.source(metrics),
-        loud=style.loud(metrics),
+        header=style.header(metrics, summary.gap_line(discovery)),
     )
 
 
@@ -76,10 +74,7 @@ def discovery_figure(
     outputs: Sequence[Mapping[str, Any]],
     stages: Sequence[str] = tuple(COLOURS),
     sequence: int = 0,
-    title: str = "",
-    result: str = "",
-    source: str = "",
-    loud: Sequence[str] = (),
+    header: style.Header = NO_HEADER,
 ) -> Figure:
     """Measured and simulated at stages of the physics, and the residuals, for every output of one sequence.
 
@@ -93,7 +88,7 @@ def discovery_figure(
     start, stop = found.window(signals)
     extent = f"test record, {panels.extent(start, stop, len(time))}{panels.which(sequence, len(measured))}"
     body = -(-len(signals) // min(len(signals), 2)) * (4.6 if len(signals) == 1 else 3.4)
-    figure = style.headed(body, title, [result, " · ".join(filter(None, (extent, source)))], loud)
+    figure = style.headed(body, header.title, header.lines(extent), header.loud)
     for (top, under), signal in zip(panels.pair_axes(figure, len(signals), [3.0, 1.3]), signals, strict=True):
         panels.draw_signal(top, signal.cut(start, stop))
         panels.draw_residuals(under, signal.cut(start, stop))

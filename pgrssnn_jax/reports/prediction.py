@@ -13,6 +13,8 @@ from matplotlib.patches import Patch
 from pgrssnn_jax.reports import content, panels, style
 from pgrssnn_jax.reports.content import Metrics, rounded
 
+NO_HEADER = style.Header()
+
 
 class Compared(NamedTuple):
     """What is compared with the measurement: members `[member, seq, time, y]`, their mean and std, and their names."""
@@ -44,10 +46,7 @@ def prediction_figure(
         n_init=metrics["n_init"],
         sequence=sequence,
         window=window,
-        title=content.heading(metrics),
-        result=f"{result} · {content.counts(metrics)} · n_init {metrics['n_init']}",
-        source=content.source(metrics),
-        loud=style.loud(metrics),
+        header=style.header(metrics, f"{result} · {content.counts(metrics)} · n_init {metrics['n_init']}"),
         panel_titles=_panel_titles(metrics),
     )
 
@@ -61,10 +60,7 @@ def ensemble_figure(
     n_init: int = 0,
     sequence: int = 0,
     window: tuple[int, int] | None = None,
-    title: str = "",
-    result: str = "",
-    source: str = "",
-    loud: Sequence[str] = (),
+    header: style.Header = NO_HEADER,
     panel_titles: Sequence[str] = (),
 ) -> Figure:
     """One pair of panels per output, for the sequence `sequence` and the samples `window` (start, stop).
@@ -84,7 +80,7 @@ def ensemble_figure(
     ratios = [3.0, 1.3] if (start, stop) == (0, time) else [3.0, 1.3, 1.3]
     body = -(-n_y // min(n_y, 2)) * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
     extent = predicted.remark + panels.extent(start, stop, time) + panels.which(sequence, n_seq)
-    figure = style.headed(body, title, [result, " · ".join(filter(None, (extent, source)))], loud)
+    figure = style.headed(body, header.title, header.lines(extent), header.loud)
     y_hat, mean, std = (array[..., sequence, :, :] for array in predicted[:3])
     lines = {predicted.label: (mean, style.BLUE, style.VERMILLION)}
     signals = panels.signals_of(outputs, dt * np.arange(time), measured[sequence], lines, y_hat, std)

@@ -13,17 +13,7 @@ from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import MISSING, Metrics
-from pgrssnn_jax.reports.poses import (
-    BASE,
-    Poses,
-    Stage,
-    floor_edge,
-    floor_lines,
-    project,
-    read_poses,
-    set_stage,
-    tip_distance,
-)
+from pgrssnn_jax.reports.poses import BASE, Poses, Stage, floor_edge, floor_lines, project, read_poses, set_stage
 
 FLOOR, SHADOW = "#f3f4f6", "#dcdfe3"
 COLUMNS = 4
@@ -68,7 +58,7 @@ def evenly(time: int, most: int) -> np.ndarray:
 
 def tip_result(poses: Poses, metrics: Metrics) -> str:
     """The tip's error over the samples that count, in one phrase."""
-    distance = tip_distance(poses)
+    distance = poses.tip_distance
     counted = np.where(np.arange(len(distance)) >= metrics["n_init"], distance, np.nan)
     known = counted[np.isfinite(counted)]
     if not len(known):
@@ -88,7 +78,7 @@ def distance_text(metres: float) -> str:
 
 
 def _draw_shot(ax: Axes, poses: Poses, stage: Stage, sample: int, title: str) -> None:
-    off = float(tip_distance(poses)[sample])
+    off = float(poses.tip_distance[sample])
     title += f" · tip {distance_text(off)} off" if math.isfinite(off) else " · no prediction"
     ax.set_title(title, loc="left", fontsize=9, color=style.INK, pad=3)
     ax.set_axis_off()
@@ -122,7 +112,7 @@ def _draw_scale(ax: Axes, stage: Stage) -> None:
 
 
 def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics, shown: np.ndarray) -> None:
-    distance, dt = tip_distance(poses), metrics["dt"]
+    distance, dt = poses.tip_distance, metrics["dt"]
     style.quiet(ax, x="time (s)", y=style.label("tip, measured\nto predicted", "m"))
     marker = "." if len(distance) <= 60 else ""
     ax.plot(dt * np.arange(len(distance)), distance, color=style.VERMILLION, linewidth=1.1, marker=marker)

@@ -10,11 +10,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports.animation import stick_animation
+from pgrssnn_jax.reports.members import members_figure, training_figure
 from pgrssnn_jax.reports.page import run_html
 from pgrssnn_jax.reports.prediction import prediction_figure
-from pgrssnn_jax.reports.ranking import members_figure
 from pgrssnn_jax.reports.stick import stick_figure
-from pgrssnn_jax.reports.training import training_figure
 from pgrssnn_jax.training.run_folder import RunFolder
 
 _DOTS_PER_INCH = 130

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from pgrssnn_jax.paper import tables as text
 from pgrssnn_jax.paper.collect import collect
-from pgrssnn_jax.paper.latex import escaped, latex
 from pgrssnn_jax.paper.published import Value, read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
 from pgrssnn_jax.reports import content
@@ -153,7 +152,7 @@ def test_csv_is_tidy_and_unrounded(table):
 
 
 def test_latex_escapes_what_latex_would_obey():
-    said = escaped(EVIL)
+    said = text.latex_escaped(EVIL)
     assert (
         r"50 \% of \$x\_1\textasciicircum{}2\$ \& \{a\}$|$b\# \textasciitilde{} \textbackslash{}cmd $<$b$>${*}" in said
     )
@@ -164,7 +163,7 @@ def test_latex_escapes_what_latex_would_obey():
 def test_latex_has_one_float_per_table_with_caption_label_and_rules(table, sweep, tmp_path):
     write_run(tmp_path / "table1_lgssm/model=rssnn", [1.4, 1.5], model="rssnn", system="lgssm")
     both = evidence_tables(collect([sweep, tmp_path], PAPER), PAPER)
-    said = latex(both, PAPER)
+    said = text.latex(both, PAPER)
     assert said.count(r"\begin{table}") == said.count(r"\end{table}") == 2
     assert said.count(r"\toprule") == said.count(r"\midrule") == said.count(r"\bottomrule") == 2
     assert r"\caption{Table 1 $\cdot$ cascaded tanks: test RMSE in V, beside the figures of" in said
@@ -178,7 +177,7 @@ def test_latex_has_one_float_per_table_with_caption_label_and_rules(table, sweep
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex here")
 def test_latex_compiles_with_booktabs_alone(table, tmp_path):
-    (tmp_path / "tables.tex").write_text(latex([table], PAPER), encoding="utf-8")
+    (tmp_path / "tables.tex").write_text(text.latex([table], PAPER), encoding="utf-8")
     frame = (
         "\\documentclass{article}\n\\usepackage{booktabs}\n\\begin{document}\n\\input{tables.tex}\n\\end{document}\n"
     )

@@ -12,6 +12,7 @@ from test_report_figures import texts
 
 from pgrssnn_jax.reports import discovery_figures as figures
 from pgrssnn_jax.reports import panels
+from pgrssnn_jax.reports.style import Header
 
 
 def named(figure: Figure, gid: str) -> list[Any]:
@@ -197,7 +198,7 @@ def test_an_uncertain_shift_does_not_hide_the_others():
 def test_a_discovery_is_drawn_from_arrays_alone():
     _, arrays = ARM
     simulated = {stage: arrays[f"y_{stage}_test"] for stage in STAGES}
-    given = {"time": arrays["time_test"], "outputs": ARM[0]["outputs"], "title": "an arm", "sequence": 1}
+    given = {"time": arrays["time_test"], "outputs": ARM[0]["outputs"], "header": Header("an arm"), "sequence": 1}
     figure = figures.discovery_figure(arrays["y_test"], simulated, **given)
     for stage in STAGES:
         drawn = named(figure, stage)

@@ -8,9 +8,9 @@ from matplotlib import rcParams
 from matplotlib.figure import Figure
 from report_samples import arm, lgssm, tanks
 
+from pgrssnn_jax.reports.members import Curve, curves, median, members_figure, training_figure
 from pgrssnn_jax.reports.prediction import ensemble_figure, prediction_figure
-from pgrssnn_jax.reports.ranking import members_figure
-from pgrssnn_jax.reports.training import Curve, curves, median, training_figure
+from pgrssnn_jax.reports.style import Header
 
 SMALL = {
     "tanks": tanks(members=4, samples=120),
@@ -263,7 +263,9 @@ def test_figures_become_png_files(tmp_path):
 def test_an_ensemble_is_drawn_from_arrays_alone():
     run = SMALL["arm"]
     members = run.predictions["y_hat"][:2]
-    figure = ensemble_figure(run.predictions["y"], members, dt=0.1, outputs=run.metrics["outputs"], title="an arm")
+    figure = ensemble_figure(
+        run.predictions["y"], members, dt=0.1, outputs=run.metrics["outputs"], header=Header("an arm")
+    )
     assert len(figure.axes) == 12
     np.testing.assert_allclose(figure.axes[0].lines[-1].get_ydata(), members[:, 0, :, 0].mean(0))
     assert "an arm" in texts(figure)
