@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgrssnn_jax.reports import content, stick, style
-from pgrssnn_jax.reports.content import Content, Metrics
+from pgrssnn_jax.reports.content import Content, Metrics, Number
 from pgrssnn_jax.reports.markup import Markup, html, tag
 from pgrssnn_jax.reports.poses import BASE, Poses, Stage, floor_edge, floor_lines, project, read_poses, set_stage
 
@@ -22,7 +22,7 @@ SECONDS, CURVE = 10.0, 700
 class _Clock(NamedTuple):
     """Seconds that one run takes, and when each frame comes, from 0 to 1."""
 
-    seconds: float
+    seconds: Number
     key_times: str
 
     def animate(self, name: str, values: Sequence[str], mode: str = "") -> Markup:
@@ -74,7 +74,7 @@ def stick_animation(
     )
 
 
-def _speed(duration: float) -> float:
+def _speed(duration: Number) -> float:
     """Real time if that takes 8 to 12 seconds, else the roundest multiple that does."""
     speeds = [1.0, *(float(f"{duration / SECONDS:.{digits}g}") for digits in (1, 2))]
     return next((s for s in speeds if s > 0 and 8.0 <= duration / s <= 12.0), 1.0)
@@ -166,11 +166,11 @@ def _legend() -> Markup:
     return html(tuple(parts))
 
 
-def _stroke(line: str, colour: str, wide: float, **look: str) -> Markup:
+def _stroke(line: str, colour: str, wide: Number, **look: str) -> Markup:
     return tag("path", d=line, stroke=colour, stroke_width=f"{wide:g}", **look)
 
 
-def _text(x: float, y: float, text: str, colour: str, size: int, **look: str) -> Markup:
+def _text(x: Number, y: Number, text: str, colour: str, size: int, **look: str) -> Markup:
     return tag("text", _printable(text), x=f"{x:g}", y=f"{y:g}", fill=colour, font_size=f"{size}", **look)
 
 

@@ -25,7 +25,7 @@ SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 
 DISCOVERY_CAPTIONS = {
     "Simulation": "Free-run simulation of the test record, which had no part in the search, by the nominal physics"
-    " and by the physics with what was found. The strip below is what either leaves over.",
+    " and by the physics with the missing effects. The strip below is what either leaves over.",
     "Disagreement": "What the physics leaves over on the training record, at each stage. Below it: how far the equation"
     " that is most wrong would have to be corrected at every moment. Shaded: where most of the error arises.",
     "Map": "The same correction against the state and the input. A missing effect shows as a patch of one colour: that"
@@ -210,7 +210,7 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
 
 def shifts_figure(discovery: Discovery) -> Figure:
-    """Relative shift of every number of the physics, refitted on its own and beside what was found, with its std."""
+    """Relative shift of every number of the physics, refitted on its own and with the missing effects, and its std."""
     rows = summary.shifts(discovery)
     movable = [row for row in rows if np.isfinite(row.size)]
     shown = movable[:SHOWN_SHIFTS]
@@ -235,7 +235,7 @@ def shifts_figure(discovery: Discovery) -> Figure:
     ax.set_xlim(min(ends) - room, max(ends) + room)
     if not shown:
         style.note(ax, "no number of the physics was refitted", blank=True)
-    words = {"recalibrated": "refitted on its own", "after": "with what was found"}
+    words = {"recalibrated": "refitted on its own", "after": "with the missing effects"}
     style.legend(figure, [style.dots(text, COLOURS[stage]) for stage, text in words.items()])
     return figure
 

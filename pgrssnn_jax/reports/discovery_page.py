@@ -38,7 +38,7 @@ def discovery_html(
         facts=facts,
         banners=[banner("SIMULATED DATA", "Nothing here was measured.")] if content.simulated(metrics) else [],
         cards=_cards(discovery),
-        links={"found": "What was found", **links, "numbers": "Numbers", "reproduce": "Reproduce"},
+        links={"found": "Missing effects", **links, "numbers": "Numbers", "reproduce": "Reproduce"},
         sections=[
             *_found(discovery),
             *([tag("h2", "Figures"), *pictures] if pictures else []),
@@ -59,7 +59,7 @@ def _cards(discovery: Discovery) -> list[Markup]:
         span = f"; {rounded(row.low)} to {rounded(row.high)}" if math.isfinite(row.low + row.high) else ""
         note = row.words + span + (floor if stage == "after" else "")
         cards.append(card(f"test {metric}, {stage}", (number(row.test), unit_of(unit)), note))
-    cards.append(card("gap closed", share(gap.get("closed_fraction")), "by what was found, on test data"))
+    cards.append(card("gap closed", share(gap.get("closed_fraction")), "by the missing effects, on test data"))
     if network := discovery.get("network"):
         note = f"of the prediction; {percent(network.get('share_before'))} with the nominal physics"
         cards.append(card("left to the network", share(network.get("share_after")), note))
@@ -69,7 +69,7 @@ def _cards(discovery: Discovery) -> list[Markup]:
 def _found(discovery: Discovery) -> list[Markup]:
     """Cards, then what else could explain the data, what could not be tested, and the missing part in symbols."""
     effects, wave = discovery.get("effects") or (), discovery.get("spectrum")
-    parts = [tag("h2", "What was found", id="found")]
+    parts = [tag("h2", "Missing effects", id="found")]
     parts += [tag("p", summary.STAND_INS, look="note")] if summary.stand_ins(discovery) else []
     parts += map(_finding, effects)
     parts += [] if effects else [tag("p", "No effect was added to the physics.", look="note")]

@@ -85,8 +85,8 @@ def shade(ax: Axes, intervals: Sequence[Sequence[Number]]) -> None:
 
 
 def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, state: Mapping[str, Any]) -> None:
-    """What the equation of one state lacks, with a band of two standard deviations; the band may leave the axis."""
-    title = f"what the equation of {state['name']} lacks: estimated correction ± 2 std"
+    """What is missing in the equation of one state, with a band of two std, which may leave the axis."""
+    title = f"missing in the equation of {state['name']}: estimated correction ± 2 std"
     label = style.label("correction", rate(str(state.get("unit") or "")))
     style.quiet(ax, title=style.plain(title), x="time (s)", y=label)
     band = 2 * np.where(np.isfinite(std), std, 0.0)

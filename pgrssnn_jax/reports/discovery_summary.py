@@ -34,7 +34,7 @@ STAND_INS = (
     "their numbers may be bent by it."
 )
 
-STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "after": "with what was found"}
+STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "after": "with the missing effects"}
 SHOWN_SHIFTS = 10
 SHOWN_INTERVALS = 5
 
@@ -51,7 +51,7 @@ class GapRow(NamedTuple):
 
 
 class Shift(NamedTuple):
-    """One number of the physics: nominal, refitted on its own, and at the end, beside what was found."""
+    """One number of the physics: nominal, refitted on its own, and at the end, with the missing effects."""
 
     name: str
     unit: str

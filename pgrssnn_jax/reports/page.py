@@ -8,21 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pgrssnn_jax.reports import content, tables
+from pgrssnn_jax.reports import content, markup, tables
 from pgrssnn_jax.reports.content import MISSING, Metrics, number, rounded
-from pgrssnn_jax.reports.markup import (
-    Markup,
-    banner,
-    bullets,
-    card,
-    document,
-    figure,
-    folded,
-    numbered_figure,
-    reproduce,
-    tag,
-    unit_of,
-)
+from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag, unit_of
 
 SHOWN_MEMBERS = 20
 
@@ -62,7 +50,7 @@ def run_html(
     links = {f"figure-{k}": f"Figure {k}. {title}" for k, title in enumerate(figures, 1)}
     facts = [f"one sample every {metrics['dt']:g} s"]
     facts.append(f"first {metrics['n_init']} samples not counted" if metrics["n_init"] else "every sample counts")
-    return document(
+    return markup.document(
         kind="Run report",
         title=content.heading(metrics),
         heading=content.heading(metrics),
@@ -71,7 +59,11 @@ def run_html(
         banners=_banners(metrics),
         cards=_cards(metrics),
         links=links | {"numbers": "Numbers", "members": "Members, one by one", "reproduce": "Reproduce"},
-        sections=[*_figures(figures, animation), *_numbers(metrics, history), reproduce(config_text, environment)],
+        sections=[
+            *_figures(figures, animation),
+            *_numbers(metrics, history),
+            markup.reproduce(config_text, environment),
+        ],
         footer="Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder.",
     )
 
@@ -121,10 +113,10 @@ def _cards(metrics: Metrics) -> list[Markup]:
 
 def _figures(figures: Mapping[str, Path], animation: str) -> list[Markup]:
     blocks = [tag("h2", "Figures")] if figures or animation else []
-    moving = [figure(Markup(animation), "The arm in motion", MOVING, look="moving")] if animation else []
+    moving = [markup.figure(Markup(animation), "The arm in motion", MOVING, look="moving")] if animation else []
     for k, (title, path) in enumerate(figures.items(), 1):
         caption = next((text for name, text in CAPTIONS.items() if title.startswith(name)), "")
-        blocks.append(numbered_figure(k, path, title, caption))
+        blocks.append(markup.numbered_figure(k, path, title, caption))
         if title.startswith("Arm"):
             blocks, moving = blocks + moving, []
     return blocks + moving
@@ -147,7 +139,7 @@ def _numbers(metrics: Metrics, history: pd.DataFrame) -> list[Markup]:
         *([title, outputs] if several else []),
         tag("h3", f"One by one: {tables.member_title(metrics)}", id="members"),
         members.html(),
-        *([folded(f"All {count} members", every.html())] if count > SHOWN_MEMBERS else []),
+        *([markup.folded(f"All {count} members", every.html())] if count > SHOWN_MEMBERS else []),
     ]
 
 

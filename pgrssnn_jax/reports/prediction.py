@@ -55,7 +55,7 @@ def ensemble_figure(
     measured: np.ndarray,
     predicted: Compared | np.ndarray,
     *,
-    dt: float,
+    dt: content.Number,
     outputs: Sequence[Mapping[str, Any]],
     n_init: int = 0,
     sequence: int = 0,

@@ -113,7 +113,7 @@ def test_disagreement_draws_every_stage_the_worst_correction_and_its_times():
     figure = figures.disagreement_figure(found, arrays)
     (drawn,) = named(figure, "correction")
     np.testing.assert_array_equal(drawn.get_ydata(), arrays["correction"][7, 0])
-    assert "what the equation of velocity_2 lacks" in texts(figure)
+    assert "missing in the equation of velocity_2" in texts(figure)
     assert figure.axes[-1].get_ylabel() == "correction (rad/s²)"
     assert [len(named(figure, stage)) for stage in STAGES] == [6, 6, 6]
     assert len(named(figure, "interval")) == 7
@@ -122,7 +122,7 @@ def test_disagreement_draws_every_stage_the_worst_correction_and_its_times():
 def test_a_worst_equation_without_correction_gives_way_to_the_largest_one():
     listed = [{"equation": "level_voltage", "share_of_error": 0.9, "intervals_s": [[0, 8]]}]
     figure = figures.disagreement_figure(TANK[0] | {"disagreement": listed}, TANK[1])
-    assert "what the equation of upper_level lacks" in texts(figure)
+    assert "missing in the equation of upper_level" in texts(figure)
     assert len(named(figure, "interval")) == 2
 
 
