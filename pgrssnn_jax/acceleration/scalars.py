@@ -15,8 +15,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.extend.core import Jaxpr, Literal, Primitive
 
-from pgrssnn_jax.records.record import Array
-
+Array = jax.Array | np.ndarray
 Numbers = Sequence[Any]
 _MOST = 600  # operations on numbers: beyond, compiling takes longer than is gained
 # fmt: off

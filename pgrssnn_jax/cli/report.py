@@ -14,17 +14,15 @@ from rich.console import Console
 
 from pgrssnn_jax.cli.entry import Work
 from pgrssnn_jax.cli.plan import plain_config
-from pgrssnn_jax.paper.boxes import box_figure
 from pgrssnn_jax.paper.collect import MARKS, FoundRun, collect
-from pgrssnn_jax.paper.efficiency import can_be_curves, efficiency_figure, overlay_figure
-from pgrssnn_jax.paper.latex import latex
+from pgrssnn_jax.paper.figures import box_figure, can_be_curves, efficiency_figure, overlay_figure
 from pgrssnn_jax.paper.page import Pictures, evidence_page
 from pgrssnn_jax.paper.published import Paper, read_paper
 from pgrssnn_jax.paper.rows import EvidenceTable, evidence_tables
-from pgrssnn_jax.paper.tables import frame, markdown, terminal_table
+from pgrssnn_jax.paper.tables import frame, latex, markdown, terminal_table
+from pgrssnn_jax.reports.write import save_figures
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
 
-_DOTS_PER_INCH = 130
 _KEYS = {"runs", "out"}
 
 FIGURES: dict[str, tuple[Callable[[EvidenceTable, Paper], Figure], str, str]] = {
@@ -94,7 +92,7 @@ def report_run(
     folder.write_text("tables.md", markdown(tables, paper))
     folder.write_csv("tables.csv", frame(tables))
     folder.write_text("tables.tex", latex(tables, paper))
-    pictures = draw(tables, paper, folder.figures)
+    pictures = draw(tables, paper, folder)
     folder.write_text("report.html", evidence_page(tables, runs, paper, pictures, command))
     for table in tables:
         console.print(terminal_table(table, paper, console.width))
@@ -103,14 +101,12 @@ def report_run(
     )
 
 
-def draw(tables: Sequence[EvidenceTable], paper: Paper, folder: Path) -> Pictures:
+def draw(tables: Sequence[EvidenceTable], paper: Paper, run: RunFolder) -> Pictures:
     """Writes the figures that each table has."""
-    folder.mkdir(parents=True, exist_ok=True)
     pictures: dict[str, list[tuple[str, str, Path]]] = {}
     for table in tables:
-        for end in FIGURES if can_be_curves(table) else ("boxes",):
-            make, title, caption = FIGURES[end]
-            path = folder / f"{table.slug}-{end}.png"
-            make(table, paper).savefig(path, dpi=_DOTS_PER_INCH)
-            pictures.setdefault(table.slug, []).append((f"{table.title}: {title}", caption, path))
+        ends = FIGURES if can_be_curves(table) else ("boxes",)
+        files = save_figures(run, {f"{table.slug}-{end}": FIGURES[end][0](table, paper) for end in ends})
+        titles = [(f"{table.title}: {title}", caption) for _, title, caption in (FIGURES[end] for end in ends)]
+        pictures[table.slug] = [(*words, path) for words, path in zip(titles, files.values(), strict=True)]
     return pictures

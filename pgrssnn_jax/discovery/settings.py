@@ -51,11 +51,11 @@ class DiscoverySettings:
     """The defaults of `pg.discover`, of `discover.py` and of its benchmark."""
 
     replace: Mapping[str, Any] = field(default_factory=lambda: dict(_REPLACED))
-    fixed: list = field(default_factory=lambda: list(_FIXED))  # parameters taken as given, NAME or PHYSICS.NAME
+    fixed: list[str] = field(default_factory=lambda: list(_FIXED))  # parameters taken as given, NAME or PHYSICS.NAME
     tolerance: float | None = 0.5  # prior: relative standard deviation of the other parameters; None: no prior
     stretches: Any = "auto"  # samples of simulated stretches, one length after the other; []: whole records
-    without: list = field(default_factory=list)  # names of effects that the catalogue is to do without
-    effects: list = field(default_factory=list)  # effects of one's own: MODULE.NAME of an Effect or of a function
+    without: list[str] = field(default_factory=list)  # names of effects that the catalogue is to do without
+    effects: list[str] = field(default_factory=list)  # effects of one's own: MODULE.NAME of an Effect or of a function
     starts: int = 4  # starting values of the recalibration
     folds: int = 5  # of the cross-validation
     block: int = 32  # samples at most, fewer in records below 640; blocks take turns: every fold sees all parts

@@ -116,7 +116,7 @@ def _fixed(names: Sequence[str], physics: Physics) -> list[str]:
     return found
 
 
-def _stretches(wanted: list | str, physics: Physics, estimation: Record) -> list[int]:
+def _stretches(wanted: list[int] | str, physics: Physics, estimation: Record) -> list[int]:
     """auto: an arm's free run over a whole record has no usable gradient, other systems' has."""
     if wanted == "auto":
         return [min(n, estimation.u.shape[1]) for n in _ARM_STRETCHES] if system_of(physics) == "arm" else []

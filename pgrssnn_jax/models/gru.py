@@ -7,6 +7,8 @@ Gates in the order r, z, n and biases on both sides: torch's convention, so that
 there are no biases, as published.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import nnx
@@ -54,12 +56,12 @@ def _scan(kernel: jax.Array, bias: jax.Array | None, projected: jax.Array) -> tu
     return jax.lax.scan(body, start, projected)[1]
 
 
-def _forward(kernel: jax.Array, bias: jax.Array | None, projected: jax.Array) -> tuple[jax.Array, tuple]:
+def _forward(kernel: jax.Array, bias: jax.Array | None, projected: jax.Array) -> tuple[jax.Array, tuple[Any, ...]]:
     states, saved = _scan(kernel, bias, projected)
     return states, (kernel, bias, states, saved)
 
 
-def _backward(residuals: tuple, cotangent: jax.Array) -> tuple[jax.Array, jax.Array | None, jax.Array]:
+def _backward(residuals: tuple[Any, ...], cotangent: jax.Array) -> tuple[jax.Array, jax.Array | None, jax.Array]:
     kernel, bias, states, (gates, n, recurrent_n) = residuals
     before = delayed(states)
     hidden = before.shape[-1]
@@ -102,7 +104,7 @@ class GRU(nnx.Module):
     """Weights of one layer, uniform in ±1/√hidden at the start."""
 
     def __init__(self, n_in: int, hidden: int, *, bias: bool, rngs: nnx.Rngs) -> None:
-        def draw(*shape: int) -> nnx.Param:
+        def draw(*shape: int) -> nnx.Param[Any]:
             bound = hidden**-0.5
             return nnx.Param(jax.random.uniform(rngs.params(), shape, jnp.float32, -bound, bound))
 

@@ -34,7 +34,7 @@ class Model(NamedTuple):
 
     spec: ModelSpec
     physics: Physics
-    graph: nnx.GraphDef | None
+    graph: nnx.GraphDef[Any] | None
     init: Callable[[jax.Array], Any]
 
     @property

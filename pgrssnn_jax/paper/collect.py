@@ -8,7 +8,7 @@ folder say so (`data.n_train=128,model=rssnn`).
 import json
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -98,7 +98,8 @@ def _below(path: Path, root: Path) -> str:
 
 def read_run(path: Path, name: str, paper: Paper) -> FoundRun | None:
     """None for a run of discover.py."""
-    config, environment = _config(path), _environment(path)
+    config = _kept(lambda: read_config(path))
+    environment = _kept(lambda: json.loads((path / "environment.json").read_text(encoding="utf-8")))
     if "discovery" in config or (path / "discovery.json").exists():
         return None
     state, reason, metrics = _ending(path)
@@ -119,19 +120,12 @@ def read_run(path: Path, name: str, paper: Paper) -> FoundRun | None:
     trained_on = _number(overrides.get("data.n_train"))
     if trained_on is None and usual and usual.n_train is not None:
         trained_on = _number(found.get("n_train")) or _number(data.get("n_train")) or usual.n_train
+    budget = None if budget == "paper" else budget
+    variant = Variant(found.get("model") or model.get("name") or said("model") or "", physics, trained_on)
+    planned = max(found["summary"]["planned"], len(found["members"])) if found else _planned(config)
+    others = {key: value for key, value in overrides.items() if key not in _NAMES and not key.startswith("hydra.")}
     return FoundRun(
-        path,
-        name,
-        state,
-        reason,
-        experiment,
-        None if budget == "paper" else budget,
-        system,
-        Variant(found.get("model") or model.get("name") or said("model") or "", physics, trained_on),
-        max(found["summary"]["planned"], len(found["members"])) if found else _planned(config),
-        {key: value for key, value in overrides.items() if key not in _NAMES and not key.startswith("hydra.")},
-        metrics,
-        environment,
+        path, name, state, reason, experiment, budget, system, variant, planned, others, metrics, environment
     )
 
 
@@ -183,17 +177,11 @@ def read_metrics(path: Path) -> Metrics:
     return found
 
 
-def _config(path: Path) -> dict[str, Any]:
+def _kept(read: Callable[[], Any]) -> dict[str, Any]:
+    """What a file holds; nothing where it is missing or damaged."""
     try:
-        return read_config(path)
-    except (ValueError, AssertionError, YAMLError, OmegaConfBaseException):
-        return {}
-
-
-def _environment(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads((path / "environment.json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
+        found = read()
+    except (FileNotFoundError, ValueError, AssertionError, YAMLError, OmegaConfBaseException):
         return {}
     return found if isinstance(found, dict) else {}
 
@@ -209,8 +197,7 @@ def _overrides(path: Path, environment: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _group(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    group = config.get(name)
-    return group if isinstance(group, Mapping) else {}
+    return group if isinstance(group := config.get(name), Mapping) else {}
 
 
 def _planned(config: Mapping[str, Any]) -> int | None:

@@ -113,10 +113,17 @@ def read_paper() -> Paper:
             Beats(beats["model"], tuple(beats["others"]), beats["n_train"]) if beats else None,
         )
 
+    columns = found["table1"]["systems"]
     cells = [
         {"system": system, "model": model, **(cell if isinstance(cell, dict) else {"mean": cell})}
-        for system, column in found["table1"].items()
-        for model, cell in column.items()
+        for model, row in found["table1"]["means"].items()
+        for system, cell in zip(columns, row, strict=True)
+        if cell is not None
+    ]
+    reasons = [
+        (place({"system": entry["system"], "model": model}), f"{entry['why']} {rest}".rstrip())
+        for entry in found["reasons"]
+        for model, rest in entry["models"].items()
     ]
     return Paper(
         found["source"],
@@ -126,5 +133,5 @@ def read_paper() -> Paper:
         found["physics"],
         {name: experiment(entry) for name, entry in found["experiments"].items()},
         {place(entry): value(entry["system"], entry) for entry in [*cells, *found["elsewhere"]]},
-        {place(entry): entry["why"] for entry in found["reasons"]},
+        dict(reasons),
     )

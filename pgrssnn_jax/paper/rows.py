@@ -7,6 +7,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import numpy as np
+
 from pgrssnn_jax.paper.collect import FoundRun
 from pgrssnn_jax.paper.merits import NOTHING, Figures, difference, figures_of
 from pgrssnn_jax.paper.published import Beats, Experiment, Paper, System, Value, Variant
@@ -44,6 +46,10 @@ class Row(NamedTuple):
 
     def values(self, merit: str) -> list[float]:
         return [getattr(member, merit) for member in self.finished]
+
+    def finite(self, merit: str) -> np.ndarray:
+        found = np.array(self.values(merit), float)
+        return found[np.isfinite(found)]
 
 
 class EvidenceTable(NamedTuple):
@@ -102,21 +108,18 @@ def _table(runs: list[FoundRun], paper: Paper) -> EvidenceTable:
     system = paper.systems.get(first.system) or _unknown_system(runs)
     differing, common = _differing(runs)
     names = [name for name in (first.experiment, None if known else first.system) if name]
+    budget = f"budget {first.budget}" if first.budget else ""
     return EvidenceTable(
         "_".join(dict.fromkeys(names)) or "runs",
-        " · ".join([known.title if known else first.experiment or "Runs", system.title, *_capped(first)]),
+        " · ".join(filter(None, (known.title if known else first.experiment or "Runs", system.title, budget))),
         first.budget,
         first.system,
         system.merit,
         system.unit,
-        (*_told_apart(_rows(runs, known, system, paper), differing), *(_quoted(known) if known else ())),
+        (*_told_apart(_rows(runs, known, system, paper), differing), *_quoted(known)),
         common,
         known.beats if known else None,
     )
-
-
-def _capped(run: FoundRun) -> list[str]:
-    return [f"budget {run.budget}"] if run.budget else []
 
 
 def _rows(runs: Sequence[FoundRun], known: Experiment | None, system: System, paper: Paper) -> list[Row]:
@@ -135,10 +138,10 @@ def _rows(runs: Sequence[FoundRun], known: Experiment | None, system: System, pa
     return rows
 
 
-def _quoted(known: Experiment) -> list[Row]:
+def _quoted(known: Experiment | None) -> list[Row]:
     """Figures of others, which no run here stands behind."""
-    nowhere = Variant("", "", None)
-    return [_empty(("", name), nowhere, "quoted", Value(mean, 0, 0, None)) for name, mean in known.quoted.items()]
+    quoted, nowhere = known.quoted if known else {}, Variant("", "", None)
+    return [_empty(("", name), nowhere, "quoted", Value(mean, 0, 0, None)) for name, mean in quoted.items()]
 
 
 def _unknown_system(runs: Iterable[FoundRun]) -> System:

@@ -1,58 +1,68 @@
-"""The tables of many runs as text: what stands in each cell, the notes below, the terminal, Markdown and CSV."""
+"""The tables of many runs as text: what stands in each cell, the notes below, the terminal, Markdown, LaTeX and CSV."""
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import pandas as pd
-from rich.table import Table
-from rich.text import Text
 
 from pgrssnn_jax.paper.order import beats_lines, order_lines
 from pgrssnn_jax.paper.published import Paper, Value
 from pgrssnn_jax.paper.rows import EvidenceTable, Row, failures
-from pgrssnn_jax.reports.content import MISSING, MemberRow, duration, plus_minus, rounded
-from pgrssnn_jax.reports.tables import one_line, pipes, rich_table
+from pgrssnn_jax.reports.content import MISSING, Content, MemberRow, duration, mean_std, number, seconds, shown
+from pgrssnn_jax.reports.tabular import Table
 
 QUOTED = "†"
 SHOWN_SEEDS = 12
 LEFT_OUT = ("median", "failed", "best", "ensemble", "time", "CC")  # where the terminal is too narrow, in this order
 GAP = 2  # letters between columns
+_NOT_IN_LATEX = ("failed", "time")  # members says as much, and the cost stands elsewhere
+_SIGNS = {
+    "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
+    "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"$<$", ">": r"$>$", "|": r"$|$", "±": r"$\pm$",
+    "²": r"$^2$", "·": r"$\cdot$", "†": r"$^\dagger$", "–": r"\textendash{}", "…": r"\dots{}", "−": r"$-$", '"': "''",
+    "[": "{[}", "*": "{*}",
+}  # fmt: skip
 
 
-def header(table: EvidenceTable) -> tuple[str, ...]:
+def table_of(table: EvidenceTable) -> Table:
+    """One row per variant; a row without figures says in their place why."""
     cc = ("CC",) if table.sizes else ()
     figures = ("mean ± std", "median", "best", "ensemble", *cc)
-    return ("variant", *figures, "members", "failed", "published", "difference", "time")
+    header = ("variant", *figures, "members", "failed", "published", "difference", "time")
+    rows = [(_look(row), _cells(row, table)) for row in table.rows]
+    return Table(header, rows, f"{table.title}: {table.heading}", left=header[:1], wrap=True)
 
 
-def cells(row: Row, table: EvidenceTable) -> list[str]:
-    """In the order of `header`; a row without figures says in their place why."""
-    f, measured = row.figures, math.isfinite(row.figures.mean)
-    quoted = row.state == "quoted"
-    mean = plus_minus(f.mean, f.std) if measured else MISSING if row.state in ("finished", "quoted") else row.state
-    figures = [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]
-    members = MISSING if quoted else f"{len(row.finished)} / {MISSING if row.planned is None else row.planned}"
+def _look(row: Row) -> str:
+    missing = "" if math.isfinite(row.figures.mean) else "failed"
+    return "quoted" if row.state == "quoted" else missing or ("partial" if row.failed else "")
+
+
+def _cells(row: Row, table: EvidenceTable) -> list[Content]:
+    f, quoted = row.figures, row.state == "quoted"
+    mean = MISSING if row.state in ("finished", "quoted") else row.state
+    members = f"{len(row.finished)} / {MISSING if row.planned is None else row.planned}"
     return [
         f"{row.label} {QUOTED}" if quoted else row.label,
-        mean,
-        *map(rounded, figures),
-        members,
+        mean_std(f.mean, f.std) if math.isfinite(f.mean) else mean,
+        *map(number, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
+        MISSING if quoted else members,
         MISSING if row.run is None or row.run.metrics is None else str(len(row.failed)),
         published(row.published),
-        f"{row.difference:+.1f}" if math.isfinite(row.difference) else MISSING,
-        duration(row.seconds),
+        number(row.difference, f"{row.difference:+.1f}"),
+        seconds(row.seconds),
     ]
 
 
-def published(value: Value | None) -> str:
+def published(value: Value | None) -> Content:
     """As the paper prints it: two decimals, the runs that finished where some failed, the best where it is given."""
     if value is None:
         return MISSING
-    text = MISSING if value.mean is None else f"{value.mean:.2f}"
-    text += f" ({value.finished}/{value.runs})" if value.finished < value.runs else ""
-    return text + (f", best {value.best:.2f}" if value.best is not None else "")
+    runs = f" ({value.finished}/{value.runs})" if value.finished < value.runs else ""
+    best = f", best {value.best:.2f}" if value.best is not None else ""
+    return MISSING if value.mean is None else number(value.mean, f"{value.mean:.2f}"), runs + best
 
 
 def problems(table: EvidenceTable) -> list[str]:
@@ -122,42 +132,85 @@ def _source(row: Row) -> str | None:
 
 def terminal_table(table: EvidenceTable, paper: Paper, width: int) -> Table:
     """The table for a terminal of so many columns; what does not fit is left out, and said so."""
-    head = header(table)
-    texts = [dict(zip(head, cells(row, table), strict=True)) for row in table.rows]
-    shown, left_out = list(head), []
+    whole = table_of(table)
+    texts = [whole.header, *(list(map(shown, cells)) for _, cells in whole.rows)]
+    widths = {name: max(map(len, column)) for name, column in zip(whole.header, zip(*texts, strict=True), strict=True)}
+    left_out = []
     for name in LEFT_OUT:
-        natural = (max(len(name), *(len(row[name]) for row in texts)) for name in shown)
-        if sum(natural) + GAP * (len(shown) + 1) > width and name in shown:
-            shown.remove(name)
+        if name in widths and sum(widths.values()) + GAP * (len(widths) + 1) > width:
             left_out.append(name)
+            del widths[name]
     narrow = [f"left out, the terminal is too narrow: {', '.join(left_out)}"] if left_out else []
-    footer = "\n".join([*narrow, *problems(table), *notes(table, paper)])
-    made = rich_table(f"{table.title}: {table.heading}", shown, footer, words=head[:1], no_wrap=False)
-    for row, text in zip(table.rows, texts, strict=True):
-        missing = row.state != "quoted" and not math.isfinite(row.figures.mean)
-        look = "italic" if row.state == "quoted" else "red" if missing else "yellow" if row.failed else ""
-        made.add_row(*(Text(text[name]) for name in shown), style=look)
-    return made
+    return whole.only(list(widths))._replace(footer=[*narrow, *problems(table), *notes(table, paper)])
 
 
 def markdown(tables: Sequence[EvidenceTable], paper: Paper) -> str:
     """All tables, each with its notes, for a file of their own."""
     parts = [f"# Measured and published\n\nPublished figures: {_escaped(paper.source)}.\n"]
     for table in tables:
-        head = header(table)
-        lines = [f"## {_escaped(f'{table.title}: {table.heading}')}", "", pipes([_escaped(name) for name in head])]
-        lines.append("|:---|" + "---:|" * (len(head) - 1))
-        for row in table.rows:
-            name, *rest = map(_escaped, cells(row, table))
-            lines.append(pipes([f"*{name}*" if row.state == "quoted" else name, *rest]))
-        lines += ["", *(f"- {_escaped(line)}" for line in [*problems(table), *notes(table, paper)]), ""]
-        parts.append("\n".join(lines))
+        made, below = table_of(table), [*problems(table), *notes(table, paper)]
+        lines = [f"## {_escaped(made.title)}", "", made.markdown(_escaped), ""]
+        parts.append("\n".join([*lines, *(f"- {_escaped(line)}" for line in below), ""]))
     return "\n".join(parts)
 
 
+def one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
 def _escaped(text: str) -> str:
-    """Text as it stands in Markdown, on one line; a cell's bars are escaped by `pipes`."""
+    """Text as it stands in Markdown, on one line; a cell's bars are escaped by its table."""
     return re.sub(r"([\\`*_\[\]<>#~])", r"\\\1", one_line(text))
+
+
+def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
+    """Floats with booktabs rules, and nothing that needs another package."""
+    head = "% \\usepackage{booktabs} in the preamble, \\input{tables.tex} in the document\n"
+    return head + "\n".join(_float(table, paper) for table in tables)
+
+
+def _float(table: EvidenceTable, paper: Paper) -> str:
+    whole = table_of(table)
+    made = whole.only([name for name in whole.header if name not in _NOT_IN_LATEX])
+    rows = []
+    for look, cells in made.rows:
+        name, *figures = (_latex_cell(shown(cell)) for cell in cells)
+        rows.append([rf"\textit{{{name}}}" if look == "quoted" else name, *figures])
+    quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
+    below = map(latex_escaped, [*quoted, *rule(table, paper), *problems(table)])
+    caption = f"{table.title}: {table.heading}, beside the figures of {paper.source}."
+    return "\n".join(
+        [
+            r"\begin{table}",
+            r"  \centering\scriptsize\setlength{\tabcolsep}{2.5pt}",
+            f"  \\caption{{{latex_escaped(caption)}}}\\label{{tab:{table.slug}}}",
+            f"  \\makebox[\\linewidth][c]{{\\begin{{tabular}}{{l{'r' * (len(made.header) - 1)}}}",
+            r"    \toprule",
+            _line(map(latex_escaped, made.header)),
+            r"    \midrule",
+            *map(_line, rows),
+            r"    \bottomrule",
+            r"  \end{tabular}}",
+            *(f"  \\par\\smallskip\\parbox{{\\linewidth}}{{\\scriptsize {text}}}" for text in below),
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+def _line(texts: Iterable[str]) -> str:
+    return "    " + " & ".join(texts) + r" \\"
+
+
+def _latex_cell(cell: str) -> str:
+    """A cell; a bare number becomes one of LaTeX's, whose minus is a minus."""
+    return f"${cell}$" if cell != MISSING and re.fullmatch(r"[+-]?[\d.]+(e[+-]\d+)?", cell) else latex_escaped(cell)
+
+
+def latex_escaped(text: str) -> str:
+    """Text as it stands; a letter that plain LaTeX has no glyph for becomes a question mark."""
+    known = "".join(_SIGNS.get(c) or (c if c.isascii() or "À" <= c <= "ÿ" else "?") for c in one_line(text))
+    return known.replace("--", "-{}-")  # two hyphens would become a dash
 
 
 def frame(tables: Sequence[EvidenceTable]) -> pd.DataFrame:
@@ -167,13 +220,14 @@ def frame(tables: Sequence[EvidenceTable]) -> pd.DataFrame:
 
 def _record(row: Row, table: EvidenceTable) -> dict[str, Any]:
     value, run = row.published, row.run
+    paper = {"": None, "_best": None, "_runs": None, "_finished": None}
+    if value:
+        paper = {"": value.mean, "_best": value.best, "_runs": value.runs, "_finished": value.finished}
     return {
         "experiment": table.name,
         "budget": table.budget,
         "system": table.system,
-        "model": row.variant.model,
-        "physics": row.variant.physics,
-        "n_train": row.variant.n_train,
+        **row.variant._asdict(),
         "variant": row.label,
         "overrides": " ".join(f"{key}={v}" for key, v in run.overrides.items()) if run else "",
         "state": row.state,
@@ -184,10 +238,7 @@ def _record(row: Row, table: EvidenceTable) -> dict[str, Any]:
         "merit": table.merit,
         "unit": table.unit,
         **row.figures._asdict(),
-        "published": value.mean if value else None,
-        "published_best": value.best if value else None,
-        "published_runs": value.runs if value else None,
-        "published_finished": value.finished if value else None,
+        **{f"published{end}": found for end, found in paper.items()},
         "difference": row.difference,
         "seconds": row.seconds,
         "source": _source(row),

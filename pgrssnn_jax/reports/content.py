@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 Metrics = Mapping[str, Any]
 Number = float | int
 MISSING = "–"
+MERITS = ("rmse", "nrmse", "fit_percent", "cc")
 
 
 class SummaryRow(NamedTuple):
@@ -34,11 +35,37 @@ class MemberRow(NamedTuple):
     failed: bool
     reason: str
     best_epoch: int | None
-    epochs: int | None
     rmse: float
     nrmse: float
     fit_percent: float
     cc: float
+
+
+class Exact(NamedTuple):
+    """A number as it is shown, and as it is."""
+
+    text: str
+    value: Number
+
+
+Content = str | tuple[Any, ...]
+"""Text, a number with its exact value, or a sequence of such pieces; `markup.html` turns it into HTML."""
+
+
+def shown(content: Content) -> str:
+    """Content as plain text."""
+    if isinstance(content, str):
+        return content
+    return content.text if isinstance(content, Exact) else "".join(map(shown, content))
+
+
+def number(value: Number | None, text: str = "") -> Content:
+    """A number as four significant digits, or as `text`, with its exact value; a dash for what is not a number."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if isinstance(value, int):
+        return Exact(text or str(value), value)
+    return Exact(text or rounded(value), float(value))
 
 
 def rounded(value: Number | None, unit: str = "") -> str:
@@ -49,15 +76,24 @@ def rounded(value: Number | None, unit: str = "") -> str:
     return f"{digits} {unit}".rstrip()
 
 
-def plus_minus(mean: Number, std: Number, unit: str = "") -> str:
-    """mean ± std, the deviation to as many decimals as the mean, or with two digits where it is smaller."""
+def deviation(mean: Number, std: Number) -> Content:
+    """To as many decimals as the mean, or with two digits where it is smaller; empty where there is none."""
     if not (math.isfinite(mean) and math.isfinite(std)):
-        return rounded(mean, unit)
+        return ""
     digits = rounded(mean)
     decimals = len(digits.partition(".")[2])
     plain = "e" not in digits and 10.0 ** (1 - decimals) <= std < 1e6
-    spread = f"{std:.{decimals}f}" if plain else f"{std:.2g}"
-    return f"{digits} ± {spread} {unit}".rstrip()
+    return number(float(std), f"{std:.{decimals}f}" if plain else f"{std:.2g}")
+
+
+def mean_std(mean: Number, std: Number) -> Content:
+    spread = deviation(mean, std)
+    return (number(float(mean)), " ± ", spread) if spread else number(float(mean))
+
+
+def plus_minus(mean: Number, std: Number, unit: str = "") -> str:
+    """mean ± std and the unit as text."""
+    return f"{shown(mean_std(mean, std))} {unit}".rstrip() if math.isfinite(mean) else MISSING
 
 
 def duration(seconds: Number | None) -> str:
@@ -65,6 +101,16 @@ def duration(seconds: Number | None) -> str:
     if seconds is None or not math.isfinite(seconds):
         return MISSING
     return f"{seconds:.0f} s" if seconds >= 999.5 else f"{seconds:.3g} s"
+
+
+def seconds(value: Number | None) -> Content:
+    return number(value, duration(value))
+
+
+def spent(by_phase: Mapping[str, Number | None]) -> tuple[Content, str]:
+    """The time of all phases, and that of each in words."""
+    phases = ", ".join(f"{name} {duration(value)}" for name, value in by_phase.items() if name != "total")
+    return seconds(by_phase.get("total")), phases
 
 
 def over_outputs(values: Sequence[Number | None] | Number | None) -> float:
@@ -78,6 +124,14 @@ def unit(metrics: Metrics) -> str:
     """The unit that all outputs share; empty where they differ."""
     units = {output.get("unit", "") for output in metrics["outputs"]}
     return units.pop() if len(units) == 1 else ""
+
+
+def in_unit(unit: Any) -> str:
+    return f" in {unit}" if unit else ""
+
+
+def outputs(metrics: Metrics) -> str:
+    return "outputs: " + ", ".join(f"{o['name']} ({o.get('unit') or MISSING})" for o in metrics["outputs"])
 
 
 def heading(metrics: Metrics) -> str:
@@ -136,17 +190,10 @@ def member_rows(metrics: Metrics) -> list[MemberRow]:
     """The members in the order of `metrics.json`."""
 
     def row(member: Mapping[str, Any]) -> MemberRow:
-        figures = member.get("test") or {}
-        merits = (over_outputs(figures.get(name)) for name in ("rmse", "nrmse", "fit_percent", "cc"))
-        return MemberRow(
-            member["seed"],
-            member["dataset"],
-            member["status"] != "ok",
-            member.get("reason") or "",
-            member.get("best_epoch"),
-            member.get("epochs"),
-            *merits,
-        )
+        merits = (over_outputs((member.get("test") or {}).get(name)) for name in MERITS)
+        failed, reason = member["status"] != "ok", member.get("reason") or ""
+        best_epoch = member.get("best_epoch")
+        return MemberRow(member["seed"], member["dataset"], failed, reason, best_epoch, *merits)
 
     return [row(member) for member in metrics["members"]]
 

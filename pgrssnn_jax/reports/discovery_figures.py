@@ -4,24 +4,28 @@ Each function takes `discovery.json` and the arrays of `discovery.npz` (those th
 `matplotlib.figure.Figure`; a missing piece becomes a sentence in its panel. `DISCOVERY_CAPTIONS` says what to look at.
 """
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pgrssnn_jax.reports import content, style
-from pgrssnn_jax.reports import discovery_panels as panels
+from pgrssnn_jax.reports import content, panels, style
+from pgrssnn_jax.reports import discovery_panels as found
 from pgrssnn_jax.reports import discovery_summary as summary
 from pgrssnn_jax.reports.discovery_panels import COLOURS, Arrays
 from pgrssnn_jax.reports.discovery_summary import Discovery, real
 
+NO_HEADER = style.Header()
 NOT_CHOSEN = "#b9c3cd"
 SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 
 DISCOVERY_CAPTIONS = {
     "Simulation": "Free-run simulation of the test record, which had no part in the search, by the nominal physics"
-    " and by the physics with what was found. The strip below is what either leaves over.",
+    " and by the physics with the missing effects. The strip below is what either leaves over.",
     "Disagreement": "What the physics leaves over on the training record, at each stage. Below it: how far the equation"
     " that is most wrong would have to be corrected at every moment. Shaded: where most of the error arises.",
     "Map": "The same correction against the state and the input. A missing effect shows as a patch of one colour: that"
@@ -46,68 +50,84 @@ def discovery_figures(discovery: Discovery, arrays: Arrays) -> dict[str, Figure]
 
 
 def simulation_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0) -> Figure:
-    """Measured, simulated before and after, and both residuals, for every output of one sequence of the test record.
-
-    Of more than 1500 samples a window of 300 is shown, around the largest residual before.
-    """
-    signals = panels.output_signals(discovery, arrays, "test", sequence)
-    if not signals:
+    """The discovery figure of the test record: `discovery_figure` with the facts of the discovery."""
+    measured, simulated = found.record(arrays, "test")
+    if not measured.size:
         return _empty(discovery, "test")
-    start, stop = panels.window(signals)
-    signals = [panels.cut(signal, start, stop) for signal in signals]
-    columns, time = min(len(signals), 2), len(arrays["time_test"])
-    rows = -(-len(signals) // columns)
-    whole = "one sample" if time == 1 else f"all {time} samples"
-    extent = whole if stop - start == time else f"samples {start} to {stop - 1} of {time}"
-    which = f"test record, {extent}{_which(arrays['y_test'], sequence)}"
-    figure = _page(discovery, rows * (4.6 if columns == 1 else 3.4), which)
-    apart = {"width_ratios": [1.0, 0.012] * (columns - 1) + [1.0], "height_ratios": [1.0, 0.03] * (rows - 1) + [1.0]}
-    grid = figure.add_gridspec(2 * rows - 1, 2 * columns - 1, **apart)
-    for k, signal in enumerate(signals):
-        inner = grid[k // columns * 2, k % columns * 2].subgridspec(2, 1, height_ratios=[3.0, 1.3], hspace=0.0)
-        top = figure.add_subplot(inner[0])
-        under = figure.add_subplot(inner[1], sharex=top)
-        panels.draw_signal(top, signal, ("before", "after"))
-        panels.draw_residuals(under, signal, ("before", "after"))
-        figure.align_ylabels([top, under])
-    measured = Line2D([], [], color=style.TRUTH, linewidth=2.8, label="measured")
-    style.legend(figure, [measured, *_stages("before", "after")])
+    metrics = summary.as_metrics(discovery)
+    return discovery_figure(
+        measured,
+        {stage: simulated[stage] for stage in ("before", "after") if stage in simulated},
+        time=arrays["time_test"],
+        outputs=metrics["outputs"],
+        stages=("before", "after"),
+        sequence=sequence,
+        header=style.header(metrics, summary.gap_line(discovery)),
+    )
+
+
+def discovery_figure(
+    measured: np.ndarray,
+    simulated: Arrays,
+    *,
+    time: np.ndarray,
+    outputs: Sequence[Mapping[str, Any]],
+    stages: Sequence[str] = tuple(COLOURS),
+    sequence: int = 0,
+    header: style.Header = NO_HEADER,
+) -> Figure:
+    """Measured and simulated at stages of the physics, and the residuals, for every output of one sequence.
+
+    measured: `[seq, time, y]`, NaN where nothing was measured; simulated: the same by stage (before: nominal physics,
+    recalibrated, after: with the missing effects); time: seconds; outputs: `name` and `unit` of each. Of more than 1500
+    samples a window of 300 is shown, around the largest residual of the first stage.
+    """
+    given = {stage: values[sequence] for stage, values in simulated.items()}
+    signals = found.output_signals(outputs, time, measured[sequence], given)
+    signals = [s._replace(curves=[curve for curve in s.curves if curve.name in stages]) for s in signals]
+    start, stop = found.window(signals)
+    extent = f"test record, {panels.extent(start, stop, len(time))}{panels.which(sequence, len(measured))}"
+    body = -(-len(signals) // min(len(signals), 2)) * (4.6 if len(signals) == 1 else 3.4)
+    figure = style.headed(body, header.title, header.lines(extent), header.loud)
+    for (top, under), signal in zip(panels.pair_axes(figure, len(signals), [3.0, 1.3]), signals, strict=True):
+        panels.draw_signal(top, signal.cut(start, stop))
+        panels.draw_residuals(under, signal.cut(start, stop))
+    style.legend(figure, [style.key("measured", style.TRUTH, linewidth=2.8), *_stages(*stages)])
     return figure
 
 
 def disagreement_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0) -> Figure:
     """Residuals of one training sequence at every stage, and the correction that the worst equation needs."""
-    signals = panels.output_signals(discovery, arrays, "train", sequence)
-    if not signals:
+    measured, simulated = found.record(arrays, "train")
+    if not measured.size:
         return _empty(discovery, "training")
+    given = {stage: values[sequence] for stage, values in simulated.items()}
+    outputs, time = discovery.get("outputs") or (), np.asarray(arrays["time_train"], np.float64)
+    signals = found.output_signals(outputs, time, measured[sequence], given)
     columns = min(len(signals), 2)
     rows = -(-len(signals) // columns)
-    which = f"training record{_which(arrays['y_train'], sequence)}"
-    figure = _page(discovery, rows * (2.5 if columns == 1 else 1.9) + 2.4, which)
+    body = rows * (2.5 if columns == 1 else 1.9) + 2.4
+    figure = _page(discovery, body, f"training record{panels.which(sequence, len(measured))}")
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[1.0] * rows + [1.0 if columns == 1 else 1.3])
-    state, intervals = panels.worst(discovery, arrays, sequence)
+    state, intervals = found.worst(discovery, arrays, sequence)
     for k, signal in enumerate(signals):
         ax = figure.add_subplot(grid[k // columns, k % columns])
-        panels.draw_residuals(ax, signal, tuple(COLOURS), x="" if columns == 1 else "time (s)")
+        panels.draw_residuals(ax, signal, x="" if columns == 1 else "time (s)")
         if len(signals) > 1:
             ax.set_title(style.plain(signal.name), loc="left", fontsize=9, color=style.INK, pad=5)
-        panels.shade(ax, intervals)
+        found.shade(ax, intervals)
     ax = figure.add_subplot(grid[rows, :])
+    handles: list[Artist] = [*_stages(*COLOURS)]
     if state is None:
         style.quiet(ax, x="time (s)", y="correction (unit/s)")
-        panels.blank(ax, "no correction could be estimated from these data")
+        style.note(ax, "no correction could be estimated from these data", blank=True)
     else:
-        unit = panels.rate(str(discovery["states"][state].get("unit") or ""))
         mean = np.asarray(arrays["correction"][state, sequence], np.float64)
-        std = arrays.get("correction_std")
-        std = np.full(mean.shape, np.nan) if std is None else np.asarray(std[state, sequence], np.float64)
-        panels.draw_correction(
-            ax, arrays["time_train"][: len(mean)], mean, std, str(discovery["states"][state]["name"]), unit
-        )
-    panels.shade(ax, intervals)
-    handles: list[Artist] = [*_stages(*COLOURS)]
-    if state is not None:
-        handles.append(Line2D([], [], color=style.GREEN, linewidth=1.6, label="correction ± 2 std"))
+        nothing = np.full(np.shape(arrays["correction"]), np.nan)
+        std = np.asarray(arrays.get("correction_std", nothing)[state, sequence], np.float64)
+        found.draw_correction(ax, time[: len(mean)], mean, std, discovery["states"][state])
+        handles.append(style.key("correction ± 2 std", style.GREEN, linewidth=1.6))
+    found.shade(ax, intervals)
     if intervals:
         handles.append(Patch(facecolor=style.YELLOW, alpha=0.3, label="where most of the error arises"))
     style.legend(figure, handles)
@@ -122,27 +142,25 @@ def map_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     if arrays.get("map_mean") is None or not np.size(arrays["map_mean"]):
         for ax in (left, right):
             style.quiet(ax, x="state", y="input")
-            panels.blank(ax, "no map could be made from these data")
+            style.note(ax, "no map could be made from these data", blank=True)
         return figure
-    units = panels.units(discovery)
+    units = found.units(discovery)
     x, y = (style.label(n, units[n]) if n in units else style.plain(n) for n in names[1:])
-    unit = panels.rate(units.get(names[0], ""))
+    unit = found.rate(units.get(names[0], ""))
     for ax, name, title in ((left, "map_mean", "correction"), (right, "map_std_error", "standard error")):
         values = np.asarray(arrays[name], np.float64)
         look = {"diverging": ax is left, "labels": (x, y), "title": title}
-        bar = figure.colorbar(panels.draw_map(ax, arrays, values, **look), ax=ax, pad=0.02)
+        bar = figure.colorbar(found.draw_map(ax, arrays, values, **look), ax=ax, pad=0.02)
         bar.set_label(style.label(title, unit), fontsize=8.5, color=style.INK)
         bar.ax.tick_params(colors="#b4bac2", labelcolor=style.QUIET, labelsize=8, length=3)
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    panels.draw_certain(left, arrays)
+    found.draw_certain(left, arrays)
     for row in discovery.get("disagreement") or ():
         if row.get("equation") == names[0]:
-            panels.draw_region(left, arrays, row.get("region") or {})
+            found.draw_region(left, arrays, row.get("region") or {})
     handles: list[Artist] = [
-        Patch(facecolor=panels.UNVISITED, label=f"fewer than {panels.FEWEST_VISITS} visits"),
-        Line2D(
-            [], [], color=style.INK, marker="o", markersize=3, linewidth=0, label="2 standard errors or more from 0"
-        ),
+        Patch(facecolor=found.UNVISITED, label=f"fewer than {found.FEWEST_VISITS} visits"),
+        style.dots("2 standard errors or more from 0", style.INK, markersize=3),
     ]
     if any(patch.get_gid() == "region" for patch in left.patches):
         handles.append(Patch(facecolor="none", edgecolor=style.INK, linewidth=1.6, label="region of disagreement"))
@@ -152,14 +170,14 @@ def map_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
 def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     """Candidate effects by the error energy they take away in cross-validation, best first; chosen ones are blue."""
-    found = [row for row in discovery.get("ranking") or () if np.isfinite(real(row.get("gain")))]
-    found = sorted(found, key=lambda row: row["gain"], reverse=True)
-    shown = [row for k, row in enumerate(found) if k < SHOWN_BARS or row.get("chosen")]
+    ranked = [row for row in discovery.get("ranking") or () if np.isfinite(real(row.get("gain")))]
+    ranked = sorted(ranked, key=lambda row: row["gain"], reverse=True)
+    shown = [row for k, row in enumerate(ranked) if k < SHOWN_BARS or row.get("chosen")]
     names, gains = [style.plain(str(row["name"])) for row in shown], [100 * real(row["gain"]) for row in shown]
     null = discovery.get("null") or {}
     threshold, draws = 100 * real(null.get("threshold")), 100 * np.ravel(arrays.get("null_law", np.array([])))
     draws = draws[np.isfinite(draws)]
-    left_out = f", {len(found) - len(shown)} weaker ones left out" if len(found) > len(shown) else ""
+    left_out = f", {len(ranked) - len(shown)} weaker ones left out" if len(ranked) > len(shown) else ""
     figure = _page(discovery, max(1.6, 0.24 * (len(shown) + 1) + 0.7), f"{len(shown)} candidates{left_out}")
     ax = style.quiet(figure.add_subplot(), x="error energy taken away in cross-validation (%)")
     ax.grid(False, axis="y")
@@ -175,24 +193,24 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
         beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 8, "bbox": behind}
         ax.annotate(text, (max(gain, 0.0), k), color=style.INK if chosen else style.QUIET, zorder=3, **beside)
     handles: list[Artist] = [Patch(color=style.BLUE, label="chosen"), Patch(color=NOT_CHOSEN, label="not chosen")]
-    red = {"color": style.VERMILLION, "linestyle": (0, (4, 2)), "linewidth": 1.4}
+    red: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.4}
     if np.isfinite(threshold):
-        ax.axvline(threshold, gid="threshold", **red)
+        ax.axvline(threshold, gid="threshold", color=style.VERMILLION, **red)
         origin = f" of {null['draws']} draws with nothing missing" if null.get("draws") else ""
-        handles.append(Line2D([], [], label=f"threshold{origin}: {threshold:.1f} %", **red))
+        handles.append(style.key(f"threshold{origin}: {threshold:.1f} %", style.VERMILLION, **red))
     ax.axvline(0.0, color=style.INK, linewidth=0.8)
     look = {"color": style.VERMILLION, "markersize": 7, "alpha": 0.35, "gid": "null"}
     ax.plot(draws, np.full(len(draws), len(shown)), "|", **look)
     best = float(np.nanmax([1.0, threshold, *gains]))
     ax.set_xlim(max(min([0.0, *gains]), -best / 4) * 1.05, 1.16 * best)
     if not shown:
-        panels.blank(ax, "no candidate effect was tried")
+        style.note(ax, "no candidate effect was tried", blank=True)
     style.legend(figure, handles)
     return figure
 
 
 def shifts_figure(discovery: Discovery) -> Figure:
-    """Relative shift of every number of the physics, refitted on its own and beside what was found, with its std."""
+    """Relative shift of every number of the physics, refitted on its own and with the missing effects, and its std."""
     rows = summary.shifts(discovery)
     movable = [row for row in rows if np.isfinite(row.size)]
     shown = movable[:SHOWN_SHIFTS]
@@ -216,26 +234,22 @@ def shifts_figure(discovery: Discovery) -> Figure:
     room = 0.04 * (max(ends) - min(ends)) or 1.0
     ax.set_xlim(min(ends) - room, max(ends) + room)
     if not shown:
-        panels.blank(ax, "no number of the physics was refitted")
-    words = {"recalibrated": "refitted on its own", "after": "with what was found"}
-    style.legend(figure, [Line2D([], [], color=COLOURS[s], marker="o", linewidth=0, label=w) for s, w in words.items()])
+        style.note(ax, "no number of the physics was refitted", blank=True)
+    words = {"recalibrated": "refitted on its own", "after": "with the missing effects"}
+    style.legend(figure, [style.dots(text, COLOURS[stage]) for stage, text in words.items()])
     return figure
 
 
 def _page(discovery: Discovery, body: float, line: str) -> Figure:
     metrics = summary.as_metrics(discovery)
-    return style.page(11.0, body, metrics, [summary.gap_line(discovery), f"{line} · {content.source(metrics)}"])
+    return style.page(body, metrics, [summary.gap_line(discovery), f"{line} · {content.source(metrics)}"])
 
 
 def _stages(*stages: str) -> list[Line2D]:
-    return [Line2D([], [], color=COLOURS[s], linewidth=1.6, label=f"{s}: {summary.STAGES[s]}") for s in stages]
-
-
-def _which(y: np.ndarray, sequence: int) -> str:
-    return f", sequence {sequence + 1} of {len(y)}" if len(y) > 1 else ""
+    return [style.key(f"{stage}: {summary.STAGES[stage]}", COLOURS[stage], linewidth=1.6) for stage in stages]
 
 
 def _empty(discovery: Discovery, part: str) -> Figure:
     figure = _page(discovery, 1.6, f"{part} record")
-    panels.blank(style.quiet(figure.add_subplot(), x="time (s)"), f"there is no {part} record")
+    style.note(style.quiet(figure.add_subplot(), x="time (s)"), f"there is no {part} record", blank=True)
     return figure

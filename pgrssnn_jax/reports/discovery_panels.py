@@ -1,8 +1,7 @@
-"""The panels of the discovery figures and the signals in them: residuals, the estimated correction, a map of it."""
+"""The panels of the discovery figures and the signals in them: the estimated correction, and a map of it."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -14,69 +13,42 @@ from matplotlib.patches import Rectangle
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import Number
 from pgrssnn_jax.reports.discovery_summary import Discovery, real
-from pgrssnn_jax.reports.panels import limit
-from pgrssnn_jax.reports.prediction import READABLE, WINDOW
+from pgrssnn_jax.reports.panels import READABLE, WINDOW, Signal, signals_of, thinned
 
 COLOURS = {"before": style.VERMILLION, "recalibrated": style.YELLOW, "after": style.BLUE}
 UNVISITED = "#c3c9d0"
 FEWEST_VISITS = 8
-_THINNED_BINS = 1500
 
 Arrays = Mapping[str, np.ndarray]
 
 
-class Output(NamedTuple):
-    """One output over the time of one sequence, NaN where there is nothing; simulated: by stage of the physics."""
-
-    name: str
-    unit: str
-    time: np.ndarray
-    measured: np.ndarray
-    simulated: Mapping[str, np.ndarray]
-
-    def residual(self, stage: str) -> np.ndarray:
-        return self.measured - self.simulated[stage]
+def output_signals(
+    outputs: Sequence[Mapping[str, Any]], time: np.ndarray, measured: np.ndarray, simulated: Arrays
+) -> list[Signal]:
+    """Every output of one sequence; simulated: by stage of the physics, a stage that is not there is NaN throughout."""
+    nothing = np.full(measured.shape, np.nan)
+    stages = {stage: (simulated.get(stage, nothing), colour, colour) for stage, colour in COLOURS.items()}
+    return signals_of(outputs, time, measured, stages)
 
 
-def output(arrays: Arrays, channel: Mapping[str, Any], part: str, sequence: int, k: int) -> Output:
-    """Output k of the record `part` (train or test); a stage that is not in the arrays is NaN throughout."""
-    shape = arrays[f"y_{part}"].shape[:2]
-
-    def signal(name: str) -> np.ndarray:
-        found = arrays.get(f"{name}_{part}")
-        column = np.full(shape[1], np.nan) if found is None else np.asarray(found[sequence, :, k], np.float64)
-        return np.where(np.isfinite(column), column, np.nan)
-
-    mask = arrays.get(f"mask_{part}")
-    measured = signal("y") if mask is None else np.where(mask[sequence, :, k].astype(bool), signal("y"), np.nan)
-    simulated = {stage: signal(f"y_{stage}") for stage in COLOURS}
-    time = np.asarray(arrays[f"time_{part}"], np.float64)
-    return Output(str(channel["name"]), str(channel.get("unit") or ""), time, measured, simulated)
+def record(arrays: Arrays, part: str) -> tuple[np.ndarray, Arrays]:
+    """Measured, NaN where masked, and simulated by stage, `[seq, time, y]`, of the record `part` (train or test)."""
+    y = np.asarray(arrays.get(f"y_{part}", np.zeros((0, 0, 0))))
+    mask = np.asarray(arrays.get(f"mask_{part}", np.ones(y.shape)), bool)
+    simulated = {stage: arrays[f"y_{stage}_{part}"] for stage in COLOURS if f"y_{stage}_{part}" in arrays}
+    return np.where(mask, y, np.nan), simulated
 
 
-def output_signals(discovery: Discovery, arrays: Arrays, part: str, sequence: int) -> list[Output]:
-    """Every output of one sequence; none where the record is empty."""
-    if not np.size(arrays.get(f"y_{part}", ())):
-        return []
-    channels = enumerate(discovery.get("outputs") or ())
-    return [output(arrays, channel, part, sequence, k) for k, channel in channels]
-
-
-def window(signals: Sequence[Output]) -> tuple[int, int]:
-    """The samples to show: all of a readable record, else those around the largest residual before."""
+def window(signals: Sequence[Signal]) -> tuple[int, int]:
+    """The samples to show: all of a readable record, else those around the largest residual of the first curve."""
     time = len(signals[0].time)
     if time <= READABLE:
         return 0, time
-    errors = [np.nan_to_num(np.abs(signal.residual("before"))) for signal in signals]
+    errors = [np.nan_to_num(np.abs(signal.measured - signal.curves[0].values)) for signal in signals]
     spans = [np.ptp(np.nan_to_num(signal.measured)) or 1.0 for signal in signals]
     middle = int(np.argmax(np.max([error / span for error, span in zip(errors, spans, strict=True)], axis=0)))
     start = int(np.clip(middle - WINDOW // 2, 0, time - WINDOW))
     return start, start + WINDOW
-
-
-def cut(signal: Output, start: int, stop: int) -> Output:
-    simulated = {stage: values[start:stop] for stage, values in signal.simulated.items()}
-    return signal._replace(time=signal.time[start:stop], measured=signal.measured[start:stop], simulated=simulated)
 
 
 def worst(discovery: Discovery, arrays: Arrays, sequence: int) -> tuple[int | None, list[Sequence[Number]]]:
@@ -104,19 +76,6 @@ def units(discovery: Discovery) -> dict[str, str]:
     return {str(signal["name"]): str(signal.get("unit") or "") for signal in signals}
 
 
-def thinned(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A long signal as the least and the greatest value of each of 1500 bins, in order; a short one whole."""
-    if len(values) <= 2 * _THINNED_BINS:
-        return t, values
-    edges = np.linspace(0, len(values), _THINNED_BINS + 1).astype(int)
-    picked = []
-    for start, stop in pairwise(edges):
-        part = values[start:stop]
-        found = {int(np.nanargmin(part)), int(np.nanargmax(part))} if np.isfinite(part).any() else {0}
-        picked += [start + place for place in sorted(found)]
-    return t[picked], values[picked]
-
-
 def shade(ax: Axes, intervals: Sequence[Sequence[Number]]) -> None:
     """Spans of time behind the data."""
     spans = [(start, stop - start) for start, stop in intervals]
@@ -125,46 +84,11 @@ def shade(ax: Axes, intervals: Sequence[Sequence[Number]]) -> None:
         ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), gid="interval", **look)
 
 
-def blank(ax: Axes, text: str) -> None:
-    """A panel with a sentence and no scale."""
-    ax.set_xticks([])
-    ax.set_yticks([])
-    style.note(ax, text)
-
-
-def draw_signal(ax: Axes, signal: Output, stages: Sequence[str]) -> None:
-    """The measured output below the simulated ones; of one that runs away only the near part shows."""
-    style.quiet(ax, y=style.label(signal.name, signal.unit)).tick_params(labelbottom=False)
-    marker = "." if len(signal.time) <= 60 else ""
-    look = {"color": style.TRUTH, "linewidth": 2.8, "marker": marker, "markersize": 9, "gid": "measured"}
-    ax.plot(signal.time, signal.measured, **look)
-    for stage in stages:
-        look = {"color": COLOURS[stage], "linewidth": 1.3, "marker": marker, "gid": stage}
-        ax.plot(signal.time, signal.simulated[stage], **look)
-    limit(ax, signal.measured, np.concatenate([signal.simulated[stage] for stage in stages]))
-
-
-def draw_residuals(ax: Axes, signal: Output, stages: Sequence[str], *, x: str = "time (s)") -> None:
-    """Measured minus simulated, one line per stage, the later ones on top."""
-    style.quiet(ax, x=x, y=style.label("residual", signal.unit))
-    ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    drawn = [stage for stage in stages if np.isfinite(signal.residual(stage)).any()]
-    marker = "." if len(signal.time) <= 60 else ""
-    for stage in drawn:
-        t, values = thinned(signal.time, signal.residual(stage))
-        ax.plot(t, values, color=COLOURS[stage], linewidth=1.0, marker=marker, gid=stage)
-    ax.margins(x=0.01)
-    if not drawn:
-        blank(ax, "no residual to show: nothing was measured or simulated here")
-        return
-    span = np.ptp(signal.measured[np.isfinite(signal.measured)]) or 1.0
-    limit(ax, np.array([-span / 2, span / 2]), np.concatenate([signal.residual(stage) for stage in drawn]))
-
-
-def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, name: str, unit: str) -> None:
-    """What the equation of one state lacks, with a band of two standard deviations; the band may leave the axis."""
-    title = f"what the equation of {name} lacks: estimated correction ± 2 std"
-    style.quiet(ax, title=style.plain(title), x="time (s)", y=style.label("correction", unit))
+def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, state: Mapping[str, Any]) -> None:
+    """What is missing in the equation of one state, with a band of two std, which may leave the axis."""
+    title = f"missing in the equation of {state['name']}: estimated correction ± 2 std"
+    label = style.label("correction", rate(str(state.get("unit") or "")))
+    style.quiet(ax, title=style.plain(title), x="time (s)", y=label)
     band = 2 * np.where(np.isfinite(std), std, 0.0)
     (places, middle), (_, low), (_, high) = (thinned(t, mean), thinned(t, mean - band), thinned(t, mean + band))
     if len(low) == len(high) == len(middle) == len(t):

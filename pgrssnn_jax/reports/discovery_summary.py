@@ -11,12 +11,12 @@ import numpy as np
 from rich import box
 from rich.console import Group, RenderableType
 from rich.panel import Panel
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from pgrssnn_jax.reports import content
-from pgrssnn_jax.reports.content import MISSING, Metrics, Number, plus_minus, rounded
-from pgrssnn_jax.reports.tables import rich_table
+from pgrssnn_jax.reports.content import MISSING, Content, Metrics, Number, mean_std, number, plus_minus, rounded, shown
+from pgrssnn_jax.reports.tabular import Row, Table
 
 Discovery = Mapping[str, Any]
 
@@ -34,7 +34,7 @@ STAND_INS = (
     "their numbers may be bent by it."
 )
 
-STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "after": "with what was found"}
+STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "after": "with the missing effects"}
 SHOWN_SHIFTS = 10
 SHOWN_INTERVALS = 5
 
@@ -51,7 +51,7 @@ class GapRow(NamedTuple):
 
 
 class Shift(NamedTuple):
-    """One number of the physics: nominal, refitted on its own, and at the end, beside what was found."""
+    """One number of the physics: nominal, refitted on its own, and at the end, with the missing effects."""
 
     name: str
     unit: str
@@ -97,6 +97,14 @@ def percent(share: Any) -> str:
     """A share as a percentage with one decimal, a large one without."""
     share = 100 * real(share)
     return MISSING if not math.isfinite(share) else f"{share:.1f} %" if abs(share) < 99.95 else f"{share:.0f} %"
+
+
+def share(value: Number | None) -> Content:
+    return number(value, percent(value))
+
+
+def chance(p: Number | None) -> Content:
+    return number(p, f"{real(p):.2g}")
 
 
 def heading(discovery: Discovery) -> str:
@@ -205,23 +213,22 @@ def intervals(row: Mapping[str, Any]) -> str:
     return ", ".join(spans[:SHOWN_INTERVALS]) + more + sequence
 
 
-def effect_facts(effect: Mapping[str, Any]) -> dict[str, str]:
-    """Where and when an effect acts and how sure it is, in words; what is not known is left out."""
-    runner, p = effect.get("runner_up") or {}, effect.get("p_value")
+def effect_facts(effect: Mapping[str, Any]) -> dict[str, Content]:
+    """Where and when an effect acts and how sure it is; what is not known is left out."""
+    runner, p, active = effect.get("runner_up") or {}, effect.get("p_value"), effect.get("active_fraction")
     joints = ", ".join(map(str, effect.get("joints") or ()))
-    active = percent(effect["active_fraction"]) if effect.get("active_fraction") is not None else ""
-    gains = [percent(effect.get(f"gain_{part}")) for part in ("test", "train")]
-    facts = {
+    gains = [share(effect.get(f"gain_{part}")) for part in ("test", "train")]
+    facts: dict[str, Content | None] = {
         "cause": effect.get("cause"),
         "acts on": ", joint ".join(filter(None, (str(effect.get("acts_on") or ""), joints))),
         "where": effect.get("region"),
-        "active": f"in {active} of the samples" if active else "",
+        "active": None if active is None else f"in {percent(active)} of the samples",
         "when": intervals(effect),
-        "gap closed": f"{gains[0]} on test, {gains[1]} on training data",
-        "by chance": f"p = {p:.2g}" if p is not None else "",
-        "runner-up": f"{runner.get('name')}, would close {percent(runner.get('gain'))}" if runner else "",
+        "gap closed": (gains[0], " on test, ", gains[1], " on training data"),
+        "by chance": None if p is None else ("p = ", chance(p)),
+        "runner-up": (f"{runner.get('name')}, would close ", share(runner.get("gain"))) if runner else None,
     }
-    return {name: str(text) for name, text in facts.items() if text}
+    return {name: found for name, found in facts.items() if found}
 
 
 def discovery_summary(discovery: Discovery) -> Group:
@@ -252,15 +259,14 @@ def _source(discovery: Discovery) -> Text:
 
 
 def _card(effect: Mapping[str, Any]) -> Panel:
-    grid = Table.grid(padding=(0, 2))
+    grid = RichTable.grid(padding=(0, 2))
     grid.add_column(style="dim", no_wrap=True)
     grid.add_column()
     for q in quantities(effect):
         grid.add_row(Text(q.name), Text(q.words, "bold"))
-    for name, text in effect_facts(effect).items():
-        grid.add_row(Text(name), Text(text))
-    if effect.get("command"):
-        grid.add_row(Text("command"), Text(str(effect["command"])))
+    command = {"command": str(effect["command"])} if effect.get("command") else {}
+    for name, fact in (effect_facts(effect) | command).items():
+        grid.add_row(Text(name), Text(shown(fact)))
     equation = Text(str(effect.get("equation") or ""), "bold cyan")
     title = Text(f"{effect.get('title') or effect['name']} · {effect['name']}", "bold")
     return Panel(Group(equation, grid), title=title, title_align="left", box=box.ROUNDED)
@@ -269,26 +275,20 @@ def _card(effect: Mapping[str, Any]) -> Panel:
 def _gap_table(discovery: Discovery) -> Table:
     metric, unit = gap_metric(discovery)
     closed = (discovery.get("gap") or {}).get("closed_fraction")
-    footer = f"{percent(closed)} of the gap closed" if closed is not None else ""
-    header = ("physics", "train", "test", "test interval")
-    title = f"{metric}{f' in {unit}' if unit else ''}"
-    table = rich_table(title, header, footer, words=header[:1], no_wrap=False)
+    footer = [f"{percent(closed)} of the gap closed"] if closed is not None else []
+    rows: list[Row] = []
     for row in gap_rows(discovery):
         span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
-        name = f"{row.stage}: {row.words}"
-        table.add_row(*map(Text, (name, rounded(row.train), rounded(row.test), span)))
-    return table
+        rows.append(("", [f"{row.stage}: {row.words}", number(row.train), number(row.test), span]))
+    header, title = ("physics", "train", "test", "test interval"), f"{metric}{content.in_unit(unit)}"
+    return Table(header, rows, title, footer, left=header[:1], wrap=True)
 
 
 def _shift_table(discovery: Discovery) -> list[Table]:
-    rows = shifts(discovery)
-    if not rows:
-        return []
-    more = len(rows) - SHOWN_SHIFTS
-    header = ("number", "before", "refitted", "final ± std", "unit", "shift")
-    footer = f"{more} more on the page" if more > 0 else ""
-    table = rich_table("numbers, largest shift first", header, footer, words=header[:1], no_wrap=False)
-    for row in rows[:SHOWN_SHIFTS]:
-        cells = (rounded(row.before), rounded(row.recalibrated), plus_minus(row.final, row.final_std))
-        table.add_row(*map(Text, (row.name, *cells, row.unit or MISSING, percent(row.size))))
-    return [table]
+    rows: list[Row] = []
+    for row in (moved := shifts(discovery))[:SHOWN_SHIFTS]:
+        figures = number(row.before), number(row.recalibrated), mean_std(row.final, row.final_std)
+        rows.append(("", [row.name, *figures, row.unit or MISSING, share(row.size)]))
+    header, more = ("number", "before", "refitted", "final ± std", "unit", "shift"), len(moved) - SHOWN_SHIFTS
+    footer = [f"{more} more on the page"] if more > 0 else []
+    return [Table(header, rows, "numbers, largest shift first", footer, left=header[:1], wrap=True)] if rows else []

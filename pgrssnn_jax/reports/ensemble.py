@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Array, Record, RecordInfo
-from pgrssnn_jax.reports.figures import prediction_figure
-from pgrssnn_jax.reports.prediction import compared
+from pgrssnn_jax.reports.prediction import compared, prediction_figure
 from pgrssnn_jax.reports.run_files import save_ensemble
 from pgrssnn_jax.training import evaluation
 from pgrssnn_jax.training.evaluation import Trained

@@ -1,100 +1,139 @@
-"""Pieces of HTML: numbers that carry their exact value, tables, embedded images. All text is escaped here."""
+"""HTML with everything escaped: elements, figures, and the frame that all pages share.
+
+A page is one file that loads nothing: images are embedded, and its policy forbids everything else.
+"""
 
 import base64
+import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
+from typing import Any
 
-from pgrssnn_jax.reports import content, tables
-from pgrssnn_jax.reports.content import MISSING, MemberRow, Metrics, Number, SummaryRow, rounded
-from pgrssnn_jax.reports.tables import OutputRow
+from pgrssnn_jax.reports.content import Content, Exact
+from pgrssnn_jax.reports.stylesheet import STYLESHEET
 
-WORDS = ("status", "reason", "output", "unit", "variant", "folder", "state")  # columns that stand at the left
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
-def number(value: Number | None, shown: str | None = None) -> str:
-    """A number for people that carries its unrounded value; a dash for what is not a number."""
-    text = str(value) if isinstance(value, int) else rounded(value)
-    exact = value if value is None or isinstance(value, int) else float(value)
-    return text if text == MISSING else f'<data value="{exact!r}">{escape(shown or text)}</data>'
+class Markup(str):
+    """Text that is HTML already; all other text is escaped on its way into a page."""
+
+    __slots__ = ()
 
 
-def value(mean: float, std: float) -> str:
-    """A number ± its deviation."""
-    spread = content.plus_minus(mean, std).partition(" ± ")[2]
-    return number(mean) + (f" ± {number(std, spread)}" if spread else "")
+def html(content: Content) -> Markup:
+    """Content as HTML: text is escaped, a number stands in a `<data>` element that holds its exact value."""
+    if isinstance(content, Markup):
+        return content
+    if isinstance(content, str):
+        return Markup(escape(content))
+    if isinstance(content, Exact):
+        return Markup(f'<data value="{content.value!r}">{escape(content.text)}</data>')
+    return Markup("".join(map(html, content)))
 
 
-def table(header: Sequence[str], rows: Sequence[str]) -> str:
-    """A table that scrolls by itself where it is wider than the page; `rows` as `row` makes them."""
-    head = "".join(_cell("th", escape(name), name) for name in header)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>\n'
+def tag(name: str, *content: Content, look: str = "", **attributes: str) -> Markup:
+    """An element; `look` is its class, and an empty attribute is left out."""
+    given = {"class": look, **attributes}
+    named = "".join(f' {key.replace("_", "-")}="{escape(value)}"' for key, value in given.items() if value)
+    return Markup(f"<{name}{named}>{html(content)}</{name}>")
 
 
-def row(header: Sequence[str], cells: Sequence[str], look: str = "") -> str:
-    """One table row; `cells` are markup already."""
-    inner = "".join(_cell("td", cell, name) for name, cell in zip(header, cells, strict=True))
-    return f'<tr class="{look}">{inner}</tr>\n' if look else f"<tr>{inner}</tr>\n"
+def bullets(items: Iterable[Content], look: str = "") -> Markup:
+    return tag("ul", *(tag("li", item) for item in items), look=look)
 
 
-def summary_table(metrics: Metrics) -> str:
-    """All members together, one row per n_init."""
-
-    def one(r: SummaryRow) -> str:
-        cells = [str(r.n_init), *map(number, (r.mean, r.std, r.median, r.best, r.ensemble, r.nrmse))]
-        return row(tables.SUMMARY_HEADER, cells, "headline" if r.headline else "")
-
-    return table(tables.SUMMARY_HEADER, [one(r) for r in content.summary_rows(metrics)])
+def banner(loud: str, *text: Content) -> Markup:
+    """What nobody may overlook."""
+    return tag("div", tag("strong", f"{loud}."), " ", *text, look="banner", role="alert")
 
 
-def member_table(metrics: Metrics, limit: int) -> str:
-    """Members from best to worst, then failed ones; of more than `limit` a selection, and all of them folded away."""
-
-    def one(r: MemberRow) -> str:
-        words = [escape(cell) for cell in tables.member_cells(r)]
-        cells = [*words[:4], *map(number, (r.rmse, r.nrmse, r.fit_percent, r.cc)), words[-1]]
-        return row(header, cells, "failed" if r.failed else "")
-
-    header, rows = tables.MEMBER_HEADER, content.member_rows(metrics)
-    shown = tables.select(rows, limit)
-    if not shown.left_out:
-        return table(header, [one(r) for r in (*shown.best, *shown.worst, *shown.failed)])
-    text = f"{shown.left_out} of {len(rows)} members left out here ({shown.left_out_failed} of them failed)"
-    gap = f'<tr class="gap"><td colspan="{len(header)}">{text}</td></tr>\n'
-    short = [*map(one, shown.best), gap, *map(one, (*shown.worst, *shown.failed))]
-    finished, failed = content.ranked(rows)
-    whole = table(header, [one(r) for r in (*finished, *failed)])
-    return f"{table(header, short)}<details><summary>All {len(rows)} members</summary>{whole}</details>\n"
+def card(name: str, value: Content, note: str) -> Markup:
+    return tag("div", tag("dt", name), tag("dd", value, tag("small", note)), look="card")
 
 
-def output_table(metrics: Metrics) -> str:
-    """One row per output."""
-    header = tables.OUTPUT_HEADER
-
-    def one(r: OutputRow) -> str:
-        words = [escape(cell) for cell in tables.output_cells(r)]
-        return row(header, [*words[:2], *map(number, (r.rmse, r.nrmse, r.fit_percent, r.cc))])
-
-    return table(header, [one(r) for r in tables.output_rows(metrics)])
+def unit_of(text: Content) -> Content:
+    """A unit, or a deviation, behind the large number of a card."""
+    return (" ", tag("span", text, look="unit")) if text else ""
 
 
-def image(path: Path, alt: str) -> str:
+def folded(title: str, content: Content) -> Markup:
+    """Content behind a heading that opens it; text is preformatted."""
+    return tag("details", tag("summary", title), content if isinstance(content, Markup) else tag("pre", content))
+
+
+def image(path: Path, alt: str) -> Markup:
     """A PNG file as an element that holds the file itself."""
     raw = path.read_bytes() if path.is_file() else b""
     if not raw.startswith(PNG_SIGNATURE) or len(raw) < 24:
-        raise ValueError(f"write_page: figures: expected a PNG file, found {path}")
+        raise ValueError(f"report: figures: expected a PNG file, found {path}")
     width, height = struct.unpack(">II", raw[16:24])
     source = f"data:image/png;base64,{base64.b64encode(raw).decode('ascii')}"
-    return f'<img alt="{escape(alt)}" width="{width}" height="{height}" src="{source}">'
+    return Markup(f'<img alt="{escape(alt)}" width="{width}" height="{height}" src="{source}">')
 
 
-def folded(title: str, text: str) -> str:
-    """Preformatted text behind a heading that opens it."""
-    return f"<details><summary>{escape(title)}</summary><pre>{escape(text)}</pre></details>\n"
+def figure(picture: Markup, title: str, caption: str, **attributes: str) -> Markup:
+    """A picture above its title and caption."""
+    return tag("figure", picture, tag("figcaption", tag("strong", f"{title}."), " ", caption), **attributes)
 
 
-def _cell(tag: str, inner: str, name: str) -> str:
-    words = ' class="words"' if name in WORDS else ""
-    return f"<{tag}{words}>{inner}</{tag}>"
+def numbered_figure(k: int, path: Path, title: str, caption: str) -> Markup:
+    return figure(image(path, title), f"Figure {k}. {title}", caption, id=f"figure-{k}")
+
+
+def reproduce(config_text: str, environment: Mapping[str, Any]) -> Markup:
+    """The commands that repeat a run, the configuration and the environment it had."""
+    commit, command = environment.get("commit"), environment.get("command")
+    steps = [*([f"git checkout {str(commit).removesuffix('+changes')}"] if commit else []), str(command or "")]
+    return html(
+        (
+            tag("h2", "Reproduce", id="reproduce"),
+            tag("pre", "\n".join(steps).strip()),
+            folded("Configuration: config.yaml", config_text),
+            folded("Environment: environment.json", json.dumps(environment, indent=2, default=str)),
+        )
+    )
+
+
+def document(
+    *,
+    kind: str,
+    title: str,
+    heading: str,
+    lead: str,
+    facts: Iterable[str],
+    banners: Iterable[Markup],
+    cards: Iterable[Markup],
+    links: Mapping[str, str],
+    sections: Iterable[Markup],
+    footer: str,
+    look: str = "",
+) -> str:
+    """A whole page. kind: what it reports on; links: anchor → text of the index; look: class of the page."""
+    eyebrow, words = tag("p", kind, look="eyebrow"), tag("p", lead, look="lead")
+    anchors = (tag("a", text, href=f"#{anchor}") for anchor, text in links.items())
+    parts = [
+        tag("header", eyebrow, tag("h1", heading), words, tag("p", " · ".join(facts), look="facts")),
+        *banners,
+        tag("dl", *cards, look="cards"),
+        tag("nav", bullets(anchors), aria_label="Contents"),
+        *sections,
+        tag("footer", footer),
+    ]
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy" content="{POLICY}">
+{tag("title", title)}
+<style>{STYLESHEET}</style>
+</head>
+<body>
+{tag("main", Markup(chr(10).join(parts)), look=look)}
+</body>
+</html>
+"""

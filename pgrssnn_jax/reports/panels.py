@@ -1,109 +1,198 @@
-"""The panels of the prediction figure: one output with its residual, and the residual of a whole long sequence."""
+"""Signals and their panels: an output measured and predicted, and what is left over."""
 
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from pgrssnn_jax.reports import content, style
-from pgrssnn_jax.reports.content import Metrics, rounded
+from pgrssnn_jax.reports import style
 
-ENVELOPE_BINS = 700
+READABLE, WINDOW = 1500, 300  # samples that one panel can show, and of a longer record
+ENVELOPE_BINS, THINNED_BINS = 700, 1500
+
+
+class Curve(NamedTuple):
+    """A prediction of one output `[time]`, with the colours of its line and of what it leaves over."""
+
+    name: str
+    values: np.ndarray
+    colour: str
+    left_over: str
 
 
 class Signal(NamedTuple):
-    """One output of one sequence in float64, NaN where there is nothing: members `[member, time]`, others `[time]`."""
+    """One output of one sequence in float64, NaN where there is nothing: members `[member, time]`, others `[time]`.
 
+    std: of the members around the first curve.
+    """
+
+    name: str
+    unit: str
+    time: np.ndarray
     measured: np.ndarray
+    curves: Sequence[Curve]
     members: np.ndarray
-    mean: np.ndarray
     std: np.ndarray
 
+    def cut(self, start: int, stop: int) -> "Signal":
+        curves = [curve._replace(values=curve.values[start:stop]) for curve in self.curves]
+        arrays = {name: getattr(self, name)[..., start:stop] for name in ("time", "measured", "members", "std")}
+        return self._replace(curves=curves, **arrays)
 
-def draw_pair(top: Axes, under: Axes, signal: Signal, metrics: Metrics, k: int, start: int, stop: int) -> None:
-    name, unit = metrics["outputs"][k]["name"], metrics["outputs"][k].get("unit", "")
-    t = metrics["dt"] * np.arange(start, stop)
-    y, members, mean, std = (a[..., start:stop] for a in signal)
-    marker = "." if stop - start <= 60 else ""
-    faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / max(len(members), 1), 0.06, 0.45))}
-
-    style.quiet(top, title=_panel_title(metrics, k), y=style.label(name, unit))
-    style.quiet(under, x="time (s)", y=style.label("residual", unit))
-    top.tick_params(labelbottom=False)
-    for ax, base in ((top, 0.0), (under, y)):
-        sign = 1.0 if ax is top else -1.0
-        for member in members:
-            ax.plot(t, sign * (member - base), **faint)
-        band = sign * (mean - base)
-        ax.fill_between(t, band - std, band + std, color=style.SKY, alpha=0.30, linewidth=0)
-    top.plot(t, y, color=style.TRUTH, linewidth=2.6, marker=marker, markersize=9, zorder=1.9)
-    top.plot(t, mean, color=style.BLUE, linewidth=1.3, marker=marker, zorder=2.6)
-    under.axhline(0.0, color=style.INK, linewidth=0.8)
-    under.plot(t, y - mean, color=style.VERMILLION, linewidth=0.9, marker=marker)
-
-    n_init = metrics["n_init"]
-    for ax in (top, under):
-        if start < n_init:
-            ax.axvspan(t[0], metrics["dt"] * min(n_init, stop), color=style.QUIET, alpha=0.12, linewidth=0)
-        ax.margins(x=0.01)
-    limit(top, y, np.concatenate([members.ravel(), mean - std, mean + std]))
-    limit(under, np.append(y - np.nanmedian(y) if np.isfinite(y).any() else y, 0.0), y - mean)
-    if not np.isfinite(y - mean).any():
-        under.set_yticks([])
-    if not len(signal.members):
-        style.note(top, "no finished member to show: measurement only")
+    @property
+    def marker(self) -> str:
+        return "." if len(self.time) <= 60 else ""
 
 
-def _panel_title(metrics: Metrics, k: int) -> str:
-    """The output and its own figures, as means over members; on a single output the header has said it all."""
-    if len(metrics["outputs"]) == 1:
-        return ""
-    tests = [m["test"] for m in metrics["members"] if m.get("test")]
-    rmse, nrmse = (content.over_outputs([test[name][k] for test in tests]) for name in ("rmse", "nrmse"))
-    unit = metrics["outputs"][k].get("unit", "")
-    name = metrics["outputs"][k]["name"]
-    return style.plain(f"{name} · member mean: RMSE {rounded(rmse, unit)}, NRMSE {rounded(nrmse)}")
+def signals_of(
+    outputs: Sequence[Mapping[str, Any]],
+    time: np.ndarray,
+    measured: np.ndarray,
+    predicted: Mapping[str, tuple[np.ndarray, str, str]],
+    members: np.ndarray | None = None,
+    std: np.ndarray | None = None,
+) -> list[Signal]:
+    """Arrays `[..., time, y]` output by output. predicted: name → values, colour, colour of the residual."""
+
+    def column(values: np.ndarray, k: int) -> np.ndarray:
+        values = np.asarray(values[..., k], np.float64)
+        return np.where(np.isfinite(values), values, np.nan)
+
+    nothing = np.zeros((0, *measured.shape))
+    members, std = nothing if members is None else members, np.zeros(measured.shape) if std is None else std
+    return [
+        Signal(
+            str(output["name"]),
+            str(output.get("unit") or ""),
+            np.asarray(time, np.float64),
+            column(measured, k),
+            [Curve(name, column(values, k), *colours) for name, (values, *colours) in predicted.items()],
+            column(members, k),
+            column(std, k),
+        )
+        for k, output in enumerate(outputs)
+    ]
 
 
-def limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:
-    """Keeps the measurement readable when a prediction runs far away: the axis reaches 1.5 spans beyond it at most."""
-    reference, others = reference[np.isfinite(reference)], others[np.isfinite(others)]
-    if not len(reference):
+def pair_axes(figure: Figure, count: int, ratios: Sequence[float]) -> list[list[Axes]]:
+    """For each of `count` outputs its panels, one below the other; the first two share their time."""
+    columns = min(count, 2)
+    rows = -(-count // columns)
+    # Every other row and column of the grid is room between the outputs.
+    apart = {"width_ratios": [1.0, 0.012] * (columns - 1) + [1.0], "height_ratios": [1.0, 0.03] * (rows - 1) + [1.0]}
+    grid = figure.add_gridspec(2 * rows - 1, 2 * columns - 1, **apart)
+    found: list[list[Axes]] = []
+    for k in range(count):
+        inner = grid[k // columns * 2, k % columns * 2].subgridspec(len(ratios), 1, height_ratios=ratios, hspace=0.0)
+        top = figure.add_subplot(inner[0])
+        under = figure.add_subplot(inner[1], sharex=top)
+        found.append([top, under, *(figure.add_subplot(inner[row]) for row in range(2, len(ratios)))])
+    for column in range(columns):
+        figure.align_ylabels([ax for axes in found[column::columns] for ax in axes[:2]])
+    return found
+
+
+def extent(start: int, stop: int, time: int) -> str:
+    """The samples shown, in words."""
+    if (start, stop) == (0, time):
+        return "one sample" if time == 1 else f"all {time} samples"
+    return f"samples {start} to {stop - 1} of {time}"
+
+
+def which(sequence: int, count: int) -> str:
+    return f", sequence {sequence + 1} of {count}" if count > 1 else ""
+
+
+def draw_signal(ax: Axes, signal: Signal, title: str = "") -> None:
+    """The measured output below the predicted ones; of one that runs away only the near part shows."""
+    style.quiet(ax, title=style.plain(title), y=style.label(signal.name, signal.unit)).tick_params(labelbottom=False)
+    band = _draw_members(ax, signal, np.zeros(len(signal.time)), 1.0)
+    look = {"color": style.TRUTH, "linewidth": 2.6, "marker": signal.marker, "markersize": 9, "gid": "measured"}
+    ax.plot(signal.time, signal.measured, zorder=1.9, **look)
+    for curve in signal.curves:
+        look = {"color": curve.colour, "linewidth": 1.3, "marker": signal.marker, "gid": curve.name}
+        ax.plot(signal.time, curve.values, zorder=2.6, **look)
+    limit(ax, signal.measured, np.concatenate([signal.members.ravel(), *band, *(c.values for c in signal.curves)]))
+    ax.margins(x=0.01)
+
+
+def draw_residuals(ax: Axes, signal: Signal, *, x: str = "time (s)") -> None:
+    """Measured minus predicted, one line per curve, the later ones on top."""
+    style.quiet(ax, x=x, y=style.label("residual", signal.unit))
+    _draw_members(ax, signal, signal.measured, -1.0)
+    ax.axhline(0.0, color=style.INK, linewidth=0.8)
+    left = [(curve, signal.measured - curve.values) for curve in signal.curves]
+    left = [(curve, residual) for curve, residual in left if np.isfinite(residual).any()]
+    for curve, residual in left:
+        look = {"color": curve.left_over, "linewidth": 1.0, "marker": signal.marker, "gid": curve.name}
+        ax.plot(*thinned(signal.time, residual), **look)
+    ax.margins(x=0.01)
+    if not left:
+        ax.set_yticks([])
+        style.note(ax, "no residual to show: nothing was measured or predicted here")
         return
-    low, high = reference.min(), reference.max()
-    span = (high - low) or abs(high) or 1.0
-    if len(others) and (others.min() < low - 1.5 * span or others.max() > high + 1.5 * span):
-        ax.set_ylim(
-            max(others.min(), low - 1.5 * span) - 0.05 * span, min(others.max(), high + 1.5 * span) + 0.05 * span
-        )
-        box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-        text = "predictions leave the axis"
-        ax.text(
-            0.995,
-            0.97,
-            text,
-            transform=ax.transAxes,
-            ha="right",
-            va="top",
-            fontsize=8,
-            color=style.VERMILLION,
-            bbox=box,
-        )
+    span = np.ptp(signal.measured[np.isfinite(signal.measured)]) or 1.0
+    limit(ax, np.array([-span / 2, span / 2]), np.concatenate([residual for _, residual in left]))
 
 
-def draw_overview(ax: Axes, signal: Signal, metrics: Metrics, k: int, start: int, stop: int) -> None:
-    """The ensemble's residual over the whole sequence as its least and greatest value per bin."""
-    dt, residual = metrics["dt"], signal.measured - signal.mean
-    style.quiet(ax, x="time (s)", y=style.label("residual", metrics["outputs"][k].get("unit", "")))
+def _draw_members(ax: Axes, signal: Signal, base: np.ndarray, sign: float) -> list[np.ndarray]:
+    """The members and their spread, less `base`; returns the ends of the spread."""
+    if not len(signal.members):
+        return []
+    faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(signal.members), 0.06, 0.45))}
+    for member in signal.members:
+        ax.plot(signal.time, sign * (member - base), **faint)
+    middle = sign * (signal.curves[0].values - base)
+    band = [middle - signal.std, middle + signal.std]
+    ax.fill_between(signal.time, band[0], band[1], color=style.SKY, alpha=0.30, linewidth=0)
+    return band
+
+
+def draw_overview(ax: Axes, signal: Signal, start: int, stop: int) -> None:
+    """The residual of the first curve over the whole sequence as its least and greatest value per bin."""
+    title = "residual of the whole sequence; shaded: the window above"
+    style.quiet(ax, x="time (s)", y=style.label("residual", signal.unit))
+    ax.set_title(title, loc="left", fontsize=8, color=style.QUIET, pad=3)
+    residual = signal.measured - signal.curves[0].values
     edges = np.unique(np.linspace(0, len(residual), ENVELOPE_BINS + 1).astype(int))
     filled = np.isfinite(residual)
     low = np.minimum.reduceat(np.where(filled, residual, np.inf), edges[:-1])
     high = np.maximum.reduceat(np.where(filled, residual, -np.inf), edges[:-1])
     low, high = (np.where(np.isfinite(a), a, np.nan) for a in (low, high))
-    ax.fill_between(dt * edges[:-1], low, high, step="post", color=style.VERMILLION, alpha=0.75, linewidth=0.4)
+    look = {"color": style.VERMILLION, "alpha": 0.75, "linewidth": 0.4}
+    ax.fill_between(signal.time[edges[:-1]], low, high, step="post", **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    ax.axvspan(dt * start, dt * stop, color=style.YELLOW, alpha=0.30, linewidth=0)
+    ends = signal.time[start], signal.time[stop - 1] + np.diff(signal.time[:2]).sum()
+    ax.axvspan(*ends, color=style.YELLOW, alpha=0.30, linewidth=0)
     ax.margins(x=0.01)
-    ax.set_title(
-        "residual of the whole sequence; shaded: the window above", loc="left", fontsize=8, color=style.QUIET, pad=3
-    )
+
+
+def limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:
+    """Keeps the measurement readable when a prediction runs far away: the axis reaches 1.5 spans beyond it at most."""
+    reference, others = reference[np.isfinite(reference)], others[np.isfinite(others)]
+    if not len(reference) or not len(others):
+        return
+    low, high = reference.min(), reference.max()
+    span = (high - low) or abs(high) or 1.0
+    least, most = low - 1.5 * span, high + 1.5 * span
+    if others.min() < least or others.max() > most:
+        ax.set_ylim(max(others.min(), least) - 0.05 * span, min(others.max(), most) + 0.05 * span)
+        box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+        place = {"transform": ax.transAxes, "ha": "right", "va": "top"}
+        ax.text(0.995, 0.97, "predictions leave the axis", fontsize=8, color=style.VERMILLION, bbox=box, **place)
+
+
+def thinned(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A long signal as the least and the greatest value of each of 1500 bins, in order; a short one whole."""
+    if len(values) <= 2 * THINNED_BINS:
+        return t, values
+    edges = np.linspace(0, len(values), THINNED_BINS + 1).astype(int)
+    picked = []
+    for start, stop in pairwise(edges):
+        part = values[start:stop]
+        found = {int(np.nanargmin(part)), int(np.nanargmax(part))} if np.isfinite(part).any() else {0}
+        picked += [start + place for place in sorted(found)]
+    return t[picked], values[picked]

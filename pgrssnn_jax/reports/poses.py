@@ -23,6 +23,11 @@ class Poses(NamedTuple):
     measured: np.ndarray
     predicted: np.ndarray
 
+    @property
+    def tip_distance(self) -> np.ndarray:
+        """Metres between the measured and the predicted tip at every sample; NaN where one is missing."""
+        return np.linalg.norm(self.measured[:, -1] - self.predicted[:, -1], axis=-1)
+
 
 class Stage(NamedTuple):
     """What every picture of a sequence shares: a round floor, the squares on it, and the corners in view, in metres."""
@@ -101,8 +106,3 @@ def floor_lines(stage: Stage) -> np.ndarray:
             half = math.sqrt(max(stage.radius**2 - off**2, 0.0))
             lines.append([stage.centre + off * aside + sign * half * along for sign in (-1, 1)])
     return np.pad(np.array(lines), ((0, 0), (0, 0), (0, 1)))
-
-
-def tip_distance(poses: Poses) -> np.ndarray:
-    """Metres between the measured and the predicted tip at every sample; NaN where one is missing."""
-    return np.linalg.norm(poses.measured[:, -1] - poses.predicted[:, -1], axis=-1)

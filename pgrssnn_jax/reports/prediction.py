@@ -3,21 +3,17 @@
 A record too long to read is shown through a window of stated range, with the residual of the whole record under it.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pgrssnn_jax.reports import content, style
+from pgrssnn_jax.reports import content, panels, style
 from pgrssnn_jax.reports.content import Metrics, rounded
-from pgrssnn_jax.reports.panels import Signal, draw_overview, draw_pair
 
-READABLE = 1500
-WINDOW = 300
+NO_HEADER = style.Header()
 
 
 class Compared(NamedTuple):
@@ -37,69 +33,91 @@ def prediction_figure(
     sequence: int = 0,
     window: tuple[int, int] | None = None,
 ) -> Figure:
-    """One pair of panels per output, for the test sequence `sequence` and the samples `window` (start, stop).
-
-    Without a window the whole sequence is shown up to 1500 samples, and the first 300 samples of a longer one. Raises
-    `ValueError` where the arrays, the sequence or the window do not fit together.
-    """
-    _check(predictions, metrics, sequence)
-    n_seq, time, n_y = predictions["y"].shape
-    start, stop = window or (0, time if time <= READABLE else WINDOW)
-    if not 0 <= start < stop <= time:
-        raise ValueError(f"prediction_figure: window: expected 0 <= start < stop <= {time}, found {(start, stop)}")
-    whole = (start, stop) == (0, time)
-
-    columns = 1 if n_y == 1 else 2
-    ratios = [3.0, 1.3] if whole else [3.0, 1.3, 1.3]
-    rows = -(-n_y // columns)
-    body = rows * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
-    of_which = f" · sequence {sequence + 1} of {n_seq}" if n_seq > 1 else ""
-    shown = compared(predictions, metrics)
-    extent = f"samples {start} to {stop - 1} of {time}"
-    if whole:
-        extent = "one sample" if time == 1 else f"all {time} samples"
-    figure = style.page(
-        11.0, body, metrics, [_result(metrics), f"{shown.remark}{extent}{of_which} · {content.source(metrics)}"]
+    """The ensemble figure of a run: `ensemble_figure` with the facts of its metrics."""
+    _check(predictions, metrics)
+    shown, best, unit = compared(predictions, metrics), content.headline(metrics), content.unit(metrics)
+    members = content.plus_minus(best.mean, best.std, unit)
+    result = f"{content.merit(metrics)}: ensemble {rounded(best.ensemble, unit)} · members {members} (mean ± std)"
+    return ensemble_figure(
+        np.where(predictions["mask"], predictions["y"], np.nan),
+        shown,
+        dt=metrics["dt"],
+        outputs=metrics["outputs"],
+        n_init=metrics["n_init"],
+        sequence=sequence,
+        window=window,
+        header=style.header(metrics, f"{result} · {content.counts(metrics)} · n_init {metrics['n_init']}"),
+        panel_titles=_panel_titles(metrics),
     )
-    # Every other row and column of the grid is room between the pairs.
-    apart = {"width_ratios": [1.0, 0.012] * (columns - 1) + [1.0], "height_ratios": [1.0, 0.03] * (rows - 1) + [1.0]}
-    grid = figure.add_gridspec(2 * rows - 1, 2 * columns - 1, **apart)
-    aligned: list[list[Axes]] = [[] for _ in range(columns)]
-    for k in range(n_y):
-        inner = grid[k // columns * 2, k % columns * 2].subgridspec(len(ratios), 1, height_ratios=ratios, hspace=0.0)
-        top = figure.add_subplot(inner[0])
-        under = figure.add_subplot(inner[1], sharex=top)
-        aligned[k % columns] += [top, under]
-        signal = _signal(predictions, shown, sequence, k)
-        draw_pair(top, under, signal, metrics, k, start, stop)
-        if not whole:
-            draw_overview(figure.add_subplot(inner[2]), signal, metrics, k, start, stop)
-    for column in aligned:
-        figure.align_ylabels(column)
-    style.legend(figure, _handles(shown))
+
+
+def ensemble_figure(
+    measured: np.ndarray,
+    predicted: Compared | np.ndarray,
+    *,
+    dt: content.Number,
+    outputs: Sequence[Mapping[str, Any]],
+    n_init: int = 0,
+    sequence: int = 0,
+    window: tuple[int, int] | None = None,
+    header: style.Header = NO_HEADER,
+    panel_titles: Sequence[str] = (),
+) -> Figure:
+    """One pair of panels per output, for the sequence `sequence` and the samples `window` (start, stop).
+
+    measured: `[seq, time, y]`, NaN where nothing was measured; predicted: `[member, seq, time, y]`; outputs: `name` and
+    `unit` of each. Without a window the whole sequence is shown up to 1500 samples, and the first 300 samples of a
+    longer one. Raises `ValueError` where the sequence or the window is not in the record.
+    """
+    n_seq, time, n_y = measured.shape
+    if not 0 <= sequence < n_seq:
+        raise ValueError(f"ensemble_figure: sequence: expected 0 to {n_seq - 1}, found {sequence}")
+    start, stop = window or (0, time if time <= panels.READABLE else panels.WINDOW)
+    if not 0 <= start < stop <= time:
+        raise ValueError(f"ensemble_figure: window: expected 0 <= start < stop <= {time}, found {(start, stop)}")
+    if isinstance(predicted, np.ndarray):
+        predicted = Compared(predicted, predicted.mean(0), predicted.std(0), "ensemble mean", "")
+    ratios = [3.0, 1.3] if (start, stop) == (0, time) else [3.0, 1.3, 1.3]
+    body = -(-n_y // min(n_y, 2)) * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
+    extent = predicted.remark + panels.extent(start, stop, time) + panels.which(sequence, n_seq)
+    figure = style.headed(body, header.title, header.lines(extent), header.loud)
+    y_hat, mean, std = (array[..., sequence, :, :] for array in predicted[:3])
+    lines = {predicted.label: (mean, style.BLUE, style.VERMILLION)}
+    signals = panels.signals_of(outputs, dt * np.arange(time), measured[sequence], lines, y_hat, std)
+    for k, (axes, signal) in enumerate(zip(panels.pair_axes(figure, n_y, ratios), signals, strict=True)):
+        panels.draw_signal(axes[0], signal.cut(start, stop), panel_titles[k] if panel_titles else "")
+        panels.draw_residuals(axes[1], signal.cut(start, stop))
+        if not len(y_hat):
+            style.note(axes[0], "no finished member to show: measurement only")
+        if start < n_init:
+            for ax in axes[:2]:
+                ax.axvspan(dt * start, dt * min(n_init, stop), color=style.QUIET, alpha=0.12, linewidth=0)
+        for ax in axes[2:]:
+            panels.draw_overview(ax, signal, start, stop)
+    style.legend(figure, _handles(predicted))
     return figure
 
 
-def _check(predictions: Mapping[str, np.ndarray], metrics: Metrics, sequence: int) -> None:
-    y = predictions["y"].shape
-    if len(y) != 3 or 0 in y or y[2] != len(metrics["outputs"]):
-        outputs = len(metrics["outputs"])
+def _check(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> None:
+    y, outputs = predictions["y"].shape, len(metrics["outputs"])
+    if len(y) != 3 or 0 in y or y[2] != outputs:
         raise ValueError(f"prediction_figure: y: expected [sequence, time, {outputs}], none of them empty, found {y}")
     shapes = {"mask": y, "ensemble_mean": y, "ensemble_std": y, "y_hat": (len(metrics["members"]), *y)}
     for name, expected in shapes.items():
         if predictions[name].shape != expected:
             raise ValueError(f"prediction_figure: {name}: expected {expected}, found {predictions[name].shape}")
-    if not 0 <= sequence < y[0]:
-        raise ValueError(f"prediction_figure: sequence: expected 0 to {y[0] - 1}, found {sequence}")
 
 
-def _result(metrics: Metrics) -> str:
-    best, unit = content.headline(metrics), content.unit(metrics)
-    return (
-        f"{content.merit(metrics)}: ensemble {rounded(best.ensemble, unit)} · members"
-        f" {content.plus_minus(best.mean, best.std, unit)} (mean ± std) · {content.counts(metrics)}"
-        f" · n_init {metrics['n_init']}"
-    )
+def _panel_titles(metrics: Metrics) -> list[str]:
+    """Each output and its own figures, as means over members; on a single output the header has said it all."""
+    tests = [m["test"] for m in metrics["members"] if m.get("test")]
+    titles = []
+    for k, output in enumerate(metrics["outputs"]):
+        rmse, nrmse = (content.over_outputs([test[name][k] for test in tests]) for name in ("rmse", "nrmse"))
+        titles.append(
+            f"{output['name']} · member mean: RMSE {rounded(rmse, output.get('unit', ''))}, NRMSE {rounded(nrmse)}"
+        )
+    return titles if len(titles) > 1 else []
 
 
 def compared(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Compared:
@@ -121,23 +139,11 @@ def compared(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Compare
     return Compared(y_hat[ok], mean, std, f"mean of dataset {dataset}", remark)
 
 
-def _signal(predictions: Mapping[str, np.ndarray], shown: Compared, sequence: int, k: int) -> Signal:
-    def cut(values: np.ndarray) -> np.ndarray:
-        values = np.asarray(values[..., sequence, :, k], np.float64)
-        return np.where(np.isfinite(values), values, np.nan)
-
-    measured = np.where(predictions["mask"][sequence, :, k], cut(predictions["y"]), np.nan)
-    return Signal(measured, cut(shown.y_hat), cut(shown.mean), cut(shown.std))
-
-
-def _handles(shown: Compared) -> list[Line2D | Patch]:
-    measured = Line2D([], [], color=style.TRUTH, linewidth=2.8, label="measured")
-    if not len(shown.y_hat):
-        return [measured]
-    return [
-        measured,
-        Line2D([], [], color=style.BLUE, linewidth=1.4, label=shown.label),
+def _handles(shown: Compared) -> list[Any]:
+    predicted = [
+        style.key(shown.label, style.BLUE, linewidth=1.4),
         Patch(facecolor=style.SKY, alpha=0.35, label="±1 std over members"),
-        Line2D([], [], color=style.BLUE, linewidth=0.7, alpha=0.5, label="members"),
-        Line2D([], [], color=style.VERMILLION, linewidth=1.2, label=f"residual: measured − {shown.label}"),
+        style.key("members", style.BLUE, linewidth=0.7, alpha=0.5),
+        style.key(f"residual: measured − {shown.label}", style.VERMILLION, linewidth=1.2),
     ]
+    return [style.key("measured", style.TRUTH, linewidth=2.8), *(predicted if len(shown.y_hat) else [])]

@@ -10,32 +10,17 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import MISSING, Metrics
-from pgrssnn_jax.reports.poses import (
-    BASE,
-    Poses,
-    Stage,
-    floor_edge,
-    floor_lines,
-    project,
-    read_poses,
-    set_stage,
-    tip_distance,
-)
+from pgrssnn_jax.reports.poses import BASE, Poses, Stage, floor_edge, floor_lines, project, read_poses, set_stage
 
 FLOOR, SHADOW = "#f3f4f6", "#dcdfe3"
 COLUMNS = 4
 
 
 def stick_figure(
-    predictions: Mapping[str, np.ndarray],
-    metrics: Metrics,
-    *,
-    sequence: int = 0,
-    shots: int = 8,
+    predictions: Mapping[str, np.ndarray], metrics: Metrics, *, sequence: int = 0, shots: int = 8
 ) -> Figure:
     """Up to `shots` poses at evenly spaced times of test sequence `sequence`, all to one scale, and the tip's error.
 
@@ -46,7 +31,7 @@ def stick_figure(
         raise ValueError(f"stick_figure: shots: expected at least 1, found {shots}")
     poses = read_poses(predictions, sequence)
     time, stage = len(poses.measured), set_stage(poses)
-    shown = np.unique(np.linspace(0, time - 1, min(shots, time)).round().astype(int))
+    shown = evenly(time, shots)
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     width, height = stage.high - stage.low
@@ -55,7 +40,7 @@ def stick_figure(
     n_seq = len(predictions["skeleton_measured"])
     of_which = f"sequence {sequence + 1} of {n_seq} · " if n_seq > 1 else ""
     lines = [f"{tip_result(poses, metrics)} · n_init {metrics['n_init']}", f"{of_which}{content.source(metrics)}"]
-    figure = style.page(11.0, rows * (cell + 0.3) + 1.9, metrics, lines)
+    figure = style.page(rows * (cell + 0.3) + 1.9, metrics, lines)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[cell + 0.3] * rows, 1.9])
     for k, sample in enumerate(shown):
         ax = figure.add_subplot(grid[k // columns, k % columns])
@@ -66,9 +51,14 @@ def stick_figure(
     return figure
 
 
+def evenly(time: int, most: int) -> np.ndarray:
+    """At most so many samples, from the first to the last."""
+    return np.unique(np.linspace(0, time - 1, min(most, time)).round().astype(int))
+
+
 def tip_result(poses: Poses, metrics: Metrics) -> str:
     """The tip's error over the samples that count, in one phrase."""
-    distance = tip_distance(poses)
+    distance = poses.tip_distance
     counted = np.where(np.arange(len(distance)) >= metrics["n_init"], distance, np.nan)
     known = counted[np.isfinite(counted)]
     if not len(known):
@@ -88,7 +78,7 @@ def distance_text(metres: float) -> str:
 
 
 def _draw_shot(ax: Axes, poses: Poses, stage: Stage, sample: int, title: str) -> None:
-    off = float(tip_distance(poses)[sample])
+    off = float(poses.tip_distance[sample])
     title += f" · tip {distance_text(off)} off" if math.isfinite(off) else " · no prediction"
     ax.set_title(title, loc="left", fontsize=9, color=style.INK, pad=3)
     ax.set_axis_off()
@@ -122,7 +112,7 @@ def _draw_scale(ax: Axes, stage: Stage) -> None:
 
 
 def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics, shown: np.ndarray) -> None:
-    distance, dt = tip_distance(poses), metrics["dt"]
+    distance, dt = poses.tip_distance, metrics["dt"]
     style.quiet(ax, x="time (s)", y=style.label("tip, measured\nto predicted", "m"))
     marker = "." if len(distance) <= 60 else ""
     ax.plot(dt * np.arange(len(distance)), distance, color=style.VERMILLION, linewidth=1.1, marker=marker)
@@ -143,9 +133,9 @@ def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics, shown: np.ndarray) 
 
 def _handles() -> list[Artist]:
     return [
-        Line2D([], [], color=style.TRUTH, linewidth=4.6, marker="o", markersize=6.4, label="measured"),
-        Line2D([], [], color=style.BLUE, linewidth=1.6, marker="o", markersize=3.2, label="predicted"),
-        Line2D([], [], color=style.VERMILLION, linewidth=1.4, label="distance of the tips"),
-        Line2D([], [], color=style.QUIET, linewidth=0.7, label="path of the tip so far"),
-        Line2D([], [], color=SHADOW, linewidth=2.6, label="measured arm from above, on the floor"),
+        style.key("measured", style.TRUTH, linewidth=4.6, marker="o", markersize=6.4),
+        style.key("predicted", style.BLUE, linewidth=1.6, marker="o", markersize=3.2),
+        style.key("distance of the tips", style.VERMILLION, linewidth=1.4),
+        style.key("path of the tip so far", style.QUIET, linewidth=0.7),
+        style.key("measured arm from above, on the floor", SHADOW, linewidth=2.6),
     ]

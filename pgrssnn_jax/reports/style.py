@@ -5,11 +5,12 @@ Everything is set on the objects themselves; matplotlib's global settings are ne
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports.content import Metrics
@@ -17,7 +18,7 @@ from pgrssnn_jax.reports.content import Metrics
 INK, QUIET, GRID, TRUTH = "#1b1f24", "#5f6873", "#e6e8eb", "#8b939d"
 BLUE, SKY, GREEN, VERMILLION, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
 
-HEADER = 1.12
+WIDTH, HEADER = 11.0, 1.12  # inches
 MARGIN = 0.16
 
 
@@ -30,19 +31,36 @@ def label(name: str, unit: str) -> str:
     return plain(f"{name} ({unit})" if unit else f"{name} (–)")
 
 
-def page(width: float, body: float, metrics: Metrics, lines: Sequence[str]) -> Figure:
-    """The empty figure of a run; simulated data and missing members are said loudly."""
-    loud = ["SIMULATED DATA"] if content.simulated(metrics) else []
-    loud += [content.incomplete(metrics).upper()] if content.incomplete(metrics) else []
-    return headed(width, body, content.heading(metrics), lines, loud)
+class Header(NamedTuple):
+    """What stands above the panels; loud: phrases at the top right that nobody may overlook."""
+
+    title: str = ""
+    result: str = ""
+    source: str = ""
+    loud: Sequence[str] = ()
+
+    def lines(self, extent: str) -> list[str]:
+        return [self.result, " · ".join(filter(None, (extent, self.source)))]
 
 
-def headed(width: float, body: float, title: str, lines: Sequence[str], loud: Sequence[str]) -> Figure:
-    """An empty white figure, `width` by `body` inches below its header: title, up to two `lines`, room for a legend.
+def header(metrics: Metrics, result: str = "") -> Header:
+    """The facts of a run; simulated data and missing members are said loudly."""
+    loud = ["SIMULATED DATA" if content.simulated(metrics) else "", content.incomplete(metrics).upper()]
+    return Header(content.heading(metrics), result, content.source(metrics), list(filter(None, loud)))
+
+
+def page(body: float, metrics: Metrics, lines: Sequence[str]) -> Figure:
+    """The empty figure of a run."""
+    facts = header(metrics)
+    return headed(body, facts.title, lines, facts.loud)
+
+
+def headed(body: float, title: str, lines: Sequence[str], loud: Sequence[str]) -> Figure:
+    """An empty white figure, `body` inches high below its header: title, up to two `lines`, room for a legend.
 
     loud: phrases at the top right that nobody may overlook.
     """
-    height = HEADER + body
+    width, height = WIDTH, HEADER + body
     figure = Figure((width, height), dpi=150, facecolor="white")
     inset = MARGIN / 2 / height
     figure.set_layout_engine(
@@ -61,6 +79,15 @@ def headed(width: float, body: float, title: str, lines: Sequence[str], loud: Se
         box = {"boxstyle": "round,pad=0.35", "facecolor": VERMILLION, "edgecolor": "none"}
         write(True, 0.16, "   ·   ".join(loud), fontsize=8.5, fontweight="bold", color="white", bbox=box)
     return figure
+
+
+def key(label: str, colour: str, **look: Any) -> Line2D:
+    """An entry of a legend."""
+    return Line2D([], [], color=colour, label=label, **look)
+
+
+def dots(label: str, colour: str, marker: str = "o", **look: Any) -> Line2D:
+    return key(label, colour, marker=marker, linewidth=0, **look)
 
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:
@@ -98,9 +125,10 @@ def quiet(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     return ax
 
 
-def note(ax: Axes, text: str) -> None:
-    """One sentence in the middle of the panel, for what cannot be drawn."""
+def note(ax: Axes, text: str, *, blank: bool = False) -> None:
+    """One sentence in the middle of the panel, for what cannot be drawn; blank: the panel has no scale either."""
     box = {"boxstyle": "round,pad=0.4", "facecolor": "white", "edgecolor": GRID}
-    ax.text(
-        0.5, 0.5, plain(text), transform=ax.transAxes, ha="center", va="center", fontsize=9, color=VERMILLION, bbox=box
-    )
+    place = {"transform": ax.transAxes, "ha": "center", "va": "center"}
+    ax.text(0.5, 0.5, plain(text), fontsize=9, color=VERMILLION, bbox=box, **place)
+    if blank:
+        ax.set(xticks=[], yticks=[])

@@ -1,4 +1,4 @@
-"""The style sheet of the page: one column, light and dark by the reader's setting, nothing loaded from anywhere."""
+"""The style sheet of all pages: one column, light and dark by the reader's setting, nothing loaded from anywhere."""
 
 STYLESHEET = """
 :root { color-scheme: light dark;
@@ -51,6 +51,20 @@ details { margin: 0.8rem 0; }
 summary { cursor: pointer; color: var(--blue); }
 pre { background: var(--code); border-radius: 8px; padding: 0.9rem 1rem; overflow-x: auto; overflow-wrap: normal;
   font: 0.85rem/1.5 ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono", monospace; }
+.finding { background: var(--card); border: 1px solid var(--line); border-left: 5px solid var(--blue);
+  border-radius: 10px; padding: 1rem 1.2rem; margin: 1rem 0; }
+.finding h3 { margin: 0; font-size: 1.15rem; }
+.finding .equation { font: 1.05rem/1.5 ui-monospace, "SF Mono", Menlo, Consolas, "Liberation Mono", monospace;
+  color: var(--blue); margin: 0.6rem 0 0.9rem; }
+.finding dl { display: grid; grid-template-columns: max-content minmax(0, 1fr); gap: 0.25rem 1.2rem; margin: 0.9rem 0; }
+.finding dt { color: var(--quiet); }
+.finding dd, .finding pre { margin: 0; }
+.named th:first-child, .named td:first-child, .prose td, .prose th { text-align: left; }
+.prose td:last-child { white-space: normal; }
+.quoted td { font-style: italic; color: var(--quiet); }
+.notes { color: var(--quiet); font-size: 0.9rem; padding-left: 1.2rem; margin: 0.6rem 0 1.4rem; }
+.evidence td, .evidence th { padding-inline: 0.55rem; }
+.evidence td.words { white-space: normal; min-width: 7.5rem; }
 footer { margin-top: 3rem; border-top: 1px solid var(--line); padding-top: 0.8rem; }
 @media (max-width: 560px) { h1 { font-size: 1.55rem; } main { padding: 1.2rem 0.8rem 2rem; }
   figure img, figure svg { padding: 0.15rem; } }

@@ -5,6 +5,7 @@ bit, as one that was never interrupted: trainable and best parameters, optimizer
 and the losses so far. Orbax writes to a temporary name and renames; a checkpoint that exists is whole.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,7 +85,7 @@ def _named(checkpoint: Checkpoint) -> dict[str, Any]:
     return named
 
 
-def _today(found: dict[str, Any]) -> dict[str, Any]:
+def _today(found: Mapping[str, Any]) -> dict[str, Any]:
     """A checkpoint of an earlier version under the names of this one."""
     state = {name.replace(".retreats", ".rollbacks"): leaf for name, leaf in found.get("state", {}).items()}
     return {**found, "state": state}

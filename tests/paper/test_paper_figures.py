@@ -9,9 +9,8 @@ from matplotlib.text import Text
 from paper_samples import begin_run, fail_run, spread_over, write_run
 from test_report_figures import texts
 
-from pgrssnn_jax.paper.boxes import box_figure
 from pgrssnn_jax.paper.collect import collect
-from pgrssnn_jax.paper.efficiency import can_be_curves, efficiency_figure, overlay_figure
+from pgrssnn_jax.paper.figures import box_figure, can_be_curves, efficiency_figure, overlay_figure
 from pgrssnn_jax.paper.published import read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
 

@@ -12,9 +12,9 @@ from rich.console import Console
 
 from pgrssnn_jax.paper import tables as text
 from pgrssnn_jax.paper.collect import collect
-from pgrssnn_jax.paper.latex import escaped, latex
 from pgrssnn_jax.paper.published import Value, read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
+from pgrssnn_jax.reports import content
 
 PAPER = read_paper()
 EVIL = r"50 % of $x_1^2$ & {a}|b# ~ \cmd <b>*[d](e)`f` -- \n ± Ω" + '"'
@@ -121,7 +121,7 @@ def test_many_failed_members_are_counted_and_the_first_ones_named(tmp_path):
     ],
 )
 def test_published_figures_as_the_paper_prints_them(value, shown):
-    assert text.published(value) == shown
+    assert content.shown(text.published(value)) == shown
 
 
 def test_markdown_is_a_table_of_equal_columns_with_everything_escaped(table):
@@ -152,7 +152,7 @@ def test_csv_is_tidy_and_unrounded(table):
 
 
 def test_latex_escapes_what_latex_would_obey():
-    said = escaped(EVIL)
+    said = text.latex_escaped(EVIL)
     assert (
         r"50 \% of \$x\_1\textasciicircum{}2\$ \& \{a\}$|$b\# \textasciitilde{} \textbackslash{}cmd $<$b$>${*}" in said
     )
@@ -163,7 +163,7 @@ def test_latex_escapes_what_latex_would_obey():
 def test_latex_has_one_float_per_table_with_caption_label_and_rules(table, sweep, tmp_path):
     write_run(tmp_path / "table1_lgssm/model=rssnn", [1.4, 1.5], model="rssnn", system="lgssm")
     both = evidence_tables(collect([sweep, tmp_path], PAPER), PAPER)
-    said = latex(both, PAPER)
+    said = text.latex(both, PAPER)
     assert said.count(r"\begin{table}") == said.count(r"\end{table}") == 2
     assert said.count(r"\toprule") == said.count(r"\midrule") == said.count(r"\bottomrule") == 2
     assert r"\caption{Table 1 $\cdot$ cascaded tanks: test RMSE in V, beside the figures of" in said
@@ -177,7 +177,7 @@ def test_latex_has_one_float_per_table_with_caption_label_and_rules(table, sweep
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex here")
 def test_latex_compiles_with_booktabs_alone(table, tmp_path):
-    (tmp_path / "tables.tex").write_text(latex([table], PAPER), encoding="utf-8")
+    (tmp_path / "tables.tex").write_text(text.latex([table], PAPER), encoding="utf-8")
     frame = (
         "\\documentclass{article}\n\\usepackage{booktabs}\n\\begin{document}\n\\input{tables.tex}\n\\end{document}\n"
     )

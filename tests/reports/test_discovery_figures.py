@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from test_report_figures import texts
 
 from pgrssnn_jax.reports import discovery_figures as figures
-from pgrssnn_jax.reports import discovery_panels as panels
+from pgrssnn_jax.reports import panels
+from pgrssnn_jax.reports.style import Header
 
 
 def named(figure: Figure, gid: str) -> list[Any]:
@@ -112,7 +113,7 @@ def test_disagreement_draws_every_stage_the_worst_correction_and_its_times():
     figure = figures.disagreement_figure(found, arrays)
     (drawn,) = named(figure, "correction")
     np.testing.assert_array_equal(drawn.get_ydata(), arrays["correction"][7, 0])
-    assert "what the equation of velocity_2 lacks" in texts(figure)
+    assert "missing in the equation of velocity_2" in texts(figure)
     assert figure.axes[-1].get_ylabel() == "correction (rad/s²)"
     assert [len(named(figure, stage)) for stage in STAGES] == [6, 6, 6]
     assert len(named(figure, "interval")) == 7
@@ -121,7 +122,7 @@ def test_disagreement_draws_every_stage_the_worst_correction_and_its_times():
 def test_a_worst_equation_without_correction_gives_way_to_the_largest_one():
     listed = [{"equation": "level_voltage", "share_of_error": 0.9, "intervals_s": [[0, 8]]}]
     figure = figures.disagreement_figure(TANK[0] | {"disagreement": listed}, TANK[1])
-    assert "what the equation of upper_level lacks" in texts(figure)
+    assert "missing in the equation of upper_level" in texts(figure)
     assert len(named(figure, "interval")) == 2
 
 
@@ -192,3 +193,16 @@ def test_an_uncertain_shift_does_not_hide_the_others():
     wild = {"k": {"before": 1.0, "after": 1.1, "std": 1e6, "unit": ""}}
     low, high = figures.shifts_figure(TANK[0] | {"recalibration": wild, "parameters": {}}).axes[0].get_xlim()
     assert high - low < 40
+
+
+def test_a_discovery_is_drawn_from_arrays_alone():
+    _, arrays = ARM
+    simulated = {stage: arrays[f"y_{stage}_test"] for stage in STAGES}
+    given = {"time": arrays["time_test"], "outputs": ARM[0]["outputs"], "header": Header("an arm"), "sequence": 1}
+    figure = figures.discovery_figure(arrays["y_test"], simulated, **given)
+    for stage in STAGES:
+        drawn = named(figure, stage)
+        assert len(drawn) == 12
+        np.testing.assert_array_equal(drawn[0].get_ydata(), simulated[stage][1, :, 0])
+    assert "an arm" in texts(figure)
+    assert "sequence 2 of 2" in texts(figure)

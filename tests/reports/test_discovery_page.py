@@ -15,7 +15,7 @@ from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.reports import discovery_summary as summary
-from pgrssnn_jax.reports.discovery_page import discovery_page
+from pgrssnn_jax.reports.discovery_page import discovery_html
 from pgrssnn_jax.reports.discovery_write import write_discovery_report
 from pgrssnn_jax.training.run_folder import RunFolder
 
@@ -34,7 +34,7 @@ def write(folder: Path, run, config: str = "seed: 0\n") -> str:
 
 
 def page(discovery, **changes) -> str:
-    return discovery_page(discovery, {}, **{"config_text": "", "environment": {}, **changes})
+    return discovery_html(discovery, {}, **{"config_text": "", "environment": {}, **changes})
 
 
 def printed(discovery, width: int = 80) -> str:

@@ -8,8 +8,9 @@ from matplotlib import rcParams
 from matplotlib.figure import Figure
 from report_samples import arm, lgssm, tanks
 
-from pgrssnn_jax.reports import figures
-from pgrssnn_jax.reports.training import Curve, curves, median
+from pgrssnn_jax.reports.members import Curve, curves, median, members_figure, training_figure
+from pgrssnn_jax.reports.prediction import ensemble_figure, prediction_figure
+from pgrssnn_jax.reports.style import Header
 
 SMALL = {
     "tanks": tanks(members=4, samples=120),
@@ -30,9 +31,9 @@ def texts(figure: Figure) -> str:
 
 def all_figures(run) -> dict[str, Figure]:
     return {
-        "prediction": figures.prediction_figure(run.predictions, run.metrics),
-        "training": figures.training_figure(run.history, run.metrics),
-        "members": figures.members_figure(run.metrics),
+        "prediction": prediction_figure(run.predictions, run.metrics),
+        "training": training_figure(run.history, run.metrics),
+        "members": members_figure(run.metrics),
     }
 
 
@@ -63,14 +64,14 @@ def test_every_figure_leaves_the_global_settings_alone():
 
 def test_the_title_states_the_results_of_metrics():
     metrics = SMALL["tanks"].metrics
-    said = texts(figures.prediction_figure(SMALL["tanks"].predictions, metrics))
+    said = texts(prediction_figure(SMALL["tanks"].predictions, metrics))
     assert f"ensemble {metrics['summary']['rmse_ensemble']:#.4g} V" in said
     assert f"members {metrics['summary']['rmse_mean']:#.4g} ±" in said
 
 
 def test_measured_ensemble_and_residual_are_drawn_as_given():
     run = SMALL["tanks"]
-    top, under = figures.prediction_figure(run.predictions, run.metrics).axes
+    top, under = prediction_figure(run.predictions, run.metrics).axes
     y, mean = run.predictions["y"][0, :, 0], run.predictions["ensemble_mean"][0, :, 0]
     drawn = [line.get_ydata() for line in top.lines]
     assert len(drawn) == 4 + 2
@@ -84,7 +85,7 @@ def test_failed_members_are_not_drawn_and_unmeasured_samples_leave_a_gap():
     run = SMALL["some failed"]
     mask = run.predictions["mask"].copy()
     mask[0, 10:20] = False
-    top = figures.prediction_figure({**run.predictions, "mask": mask}, run.metrics).axes[0]
+    top = prediction_figure({**run.predictions, "mask": mask}, run.metrics).axes[0]
     assert len(top.lines) == 2 + 2
     assert np.isnan(top.lines[-2].get_ydata()[10:20]).all()
 
@@ -102,7 +103,7 @@ def test_members_with_other_test_records_are_not_held_against_this_one():
         member["dataset"] = dataset
     nothing = np.full(run.predictions["y"].shape, np.nan)
     apart = {**run.predictions, "ensemble_mean": nothing, "ensemble_std": nothing}
-    figure = figures.prediction_figure(apart, run.metrics)
+    figure = prediction_figure(apart, run.metrics)
     assert "only dataset 0: members have test records of their own, hence no ensemble" in texts(figure)
     assert "mean of dataset 0" in texts(figure)
     top = figure.axes[0]
@@ -111,31 +112,31 @@ def test_members_with_other_test_records_are_not_held_against_this_one():
 
     for member in run.metrics["members"][:2]:
         member["status"] = "failed"
-    assert "no finished member to show" in texts(figures.prediction_figure(apart, run.metrics))
+    assert "no finished member to show" in texts(prediction_figure(apart, run.metrics))
 
 
 def test_a_long_record_is_shown_through_a_window_above_its_whole_residual():
     run = SMALL["simulated"]
-    figure = figures.prediction_figure(run.predictions, run.metrics)
+    figure = prediction_figure(run.predictions, run.metrics)
     assert "samples 0 to 299 of 1600" in texts(figure)
     top, _, whole = figure.axes
     assert len(top.lines[-1].get_ydata()) == 300
     assert whole.dataLim.x1 >= 1590
-    wide = figures.prediction_figure(run.predictions, run.metrics, window=(1000, 1200))
+    wide = prediction_figure(run.predictions, run.metrics, window=(1000, 1200))
     np.testing.assert_allclose(wide.axes[0].lines[-1].get_xdata(), np.arange(1000, 1200))
 
 
 def test_the_envelope_of_a_long_residual_holds_its_extremes():
     run = SMALL["simulated"]
     residual = run.predictions["y"] - run.predictions["ensemble_mean"]
-    whole = figures.prediction_figure(run.predictions, run.metrics).axes[2]
+    whole = prediction_figure(run.predictions, run.metrics).axes[2]
     assert whole.dataLim.y0 == pytest.approx(residual.min())
     assert whole.dataLim.y1 == pytest.approx(residual.max())
 
 
 def test_one_pair_of_panels_per_output_and_the_sequence_that_was_asked_for():
     run = SMALL["arm"]
-    figure = figures.prediction_figure(run.predictions, run.metrics, sequence=1)
+    figure = prediction_figure(run.predictions, run.metrics, sequence=1)
     assert len(figure.axes) == 12
     assert "sequence 2 of 2" in texts(figure)
     np.testing.assert_array_equal(figure.axes[0].lines[-2].get_ydata(), run.predictions["y"][1, :, 0])
@@ -146,7 +147,7 @@ def test_a_prediction_that_runs_away_leaves_the_measurement_readable():
     far = run.predictions["y_hat"].copy()
     far[0, 0, 50:] = 1e30
     changed = {**run.predictions, "y_hat": far, "ensemble_mean": far.mean(0), "ensemble_std": far.std(0)}
-    figure = figures.prediction_figure(changed, run.metrics)
+    figure = prediction_figure(changed, run.metrics)
     low, high = figure.axes[0].get_ylim()
     assert high - low < 6 * np.ptp(run.predictions["y"])
     assert "predictions leave the axis" in texts(figure)
@@ -169,20 +170,20 @@ def test_a_dollar_sign_in_a_name_is_a_dollar_sign():
 def test_wrong_requests_are_named(change, message):
     run = SMALL["tanks"]
     with pytest.raises(ValueError, match=message):
-        figures.prediction_figure(run.predictions, run.metrics, **change)
+        prediction_figure(run.predictions, run.metrics, **change)
 
 
 def test_wrong_arrays_are_named():
     run = SMALL["tanks"]
     with pytest.raises(ValueError, match="y_hat: expected"):
-        figures.prediction_figure({**run.predictions, "y_hat": np.zeros((4, 1, 7, 1))}, run.metrics)
+        prediction_figure({**run.predictions, "y_hat": np.zeros((4, 1, 7, 1))}, run.metrics)
     with pytest.raises(ValueError, match="expected a column validation_loss"):
-        figures.training_figure(run.history.drop(columns="validation_loss"), run.metrics)
+        training_figure(run.history.drop(columns="validation_loss"), run.metrics)
 
 
 def test_training_curves_are_those_of_the_history():
     run = SMALL["some failed"]
-    left, right = figures.training_figure(run.history, run.metrics).axes
+    left, right = training_figure(run.history, run.metrics).axes
     assert left.get_yscale() == right.get_yscale() == "log"
     one = run.history[run.history["seed"] == 0]
     np.testing.assert_array_equal(left.lines[0].get_ydata(), one["train_loss"])
@@ -196,7 +197,7 @@ def test_training_curves_are_those_of_the_history():
 def test_a_failed_loss_does_not_squash_the_others():
     run = SMALL["some failed"]
     assert run.history["train_loss"].max() > 1e4
-    left, _ = figures.training_figure(run.history, run.metrics).axes
+    left, _ = training_figure(run.history, run.metrics).axes
     assert left.get_ylim()[1] < 1e2
 
 
@@ -204,7 +205,7 @@ def test_a_history_without_a_loss_to_draw_says_so():
     run = SMALL["tanks"]
     nothing = run.history.assign(train_loss=np.nan, validation_loss=-1.0)
     for history in (run.history.iloc[:0], nothing):
-        assert texts(figures.training_figure(history, run.metrics)).count("no finite loss was recorded") == 2
+        assert texts(training_figure(history, run.metrics)).count("no finite loss was recorded") == 2
 
 
 def test_the_median_covers_epochs_that_half_of_the_members_reach():
@@ -224,7 +225,7 @@ def test_curves_are_split_by_seed_and_dataset():
 
 def test_members_stand_in_order_and_failed_ones_at_the_end():
     run = SMALL["some failed"]
-    ax = figures.members_figure(run.metrics).axes[0]
+    ax = members_figure(run.metrics).axes[0]
     dots, crosses = (next(line for line in ax.lines if line.get_marker() == m) for m in ("o", "x"))
     rmse = [member["test"]["rmse"][0] for member in run.metrics["members"] if member["test"]]
     np.testing.assert_array_equal(dots.get_ydata(), sorted(rmse))
@@ -234,7 +235,7 @@ def test_members_stand_in_order_and_failed_ones_at_the_end():
 
 def test_fifty_members_are_drawn_without_a_name_for_each():
     run = lgssm(members=50, samples=60, failed=(7,))
-    figure = figures.members_figure(run.metrics)
+    figure = members_figure(run.metrics)
     assert "1 OF 50 MEMBERS FAILED" in texts(figure)
     assert len(figure.axes[0].get_xticks()) < 15
 
@@ -242,7 +243,7 @@ def test_fifty_members_are_drawn_without_a_name_for_each():
 def test_an_outlier_makes_the_scale_logarithmic():
     run = tanks(members=6, samples=60)
     run.metrics["members"][0]["test"]["rmse"] = [1e6]
-    assert figures.members_figure(run.metrics).axes[0].get_yscale() == "log"
+    assert members_figure(run.metrics).axes[0].get_yscale() == "log"
 
 
 def test_missing_figures_of_a_finished_member_are_drawn_around():
@@ -257,3 +258,15 @@ def test_figures_become_png_files(tmp_path):
     for name, figure in all_figures(SMALL["arm"]).items():
         figure.savefig(tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+def test_an_ensemble_is_drawn_from_arrays_alone():
+    run = SMALL["arm"]
+    members = run.predictions["y_hat"][:2]
+    figure = ensemble_figure(
+        run.predictions["y"], members, dt=0.1, outputs=run.metrics["outputs"], header=Header("an arm")
+    )
+    assert len(figure.axes) == 12
+    np.testing.assert_allclose(figure.axes[0].lines[-1].get_ydata(), members[:, 0, :, 0].mean(0))
+    assert "an arm" in texts(figure)
+    assert "all 40 samples, sequence 1 of 2" in texts(figure)

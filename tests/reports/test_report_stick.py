@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from report_samples import CONFIG, ENVIRONMENT, Run, arm, tanks, with_skeleton
 from rich.console import Console
 
-from pgrssnn_jax.reports import markup, tables
+from pgrssnn_jax.reports import tables
 from pgrssnn_jax.reports.animation import stick_animation
-from pgrssnn_jax.reports.page import write_page
+from pgrssnn_jax.reports.page import run_html
 from pgrssnn_jax.reports.poses import floor_lines, project, read_poses, set_stage
 from pgrssnn_jax.reports.stick import distance_text, stick_figure
 from pgrssnn_jax.reports.write import write_report
@@ -222,9 +222,8 @@ def test_names_are_escaped():
 def page(tmp_path, run: Run, titles, **changes) -> str:
     png = tmp_path / "f.png"
     Figure((2, 1)).savefig(png)
-    given = {"figures": dict.fromkeys(titles, png), "config_text": CONFIG, "environment": ENVIRONMENT}
-    write_page(tmp_path / "report.html", metrics=run.metrics, history=run.history, **given, **changes)
-    return (tmp_path / "report.html").read_text(encoding="utf-8")
+    given = {"config_text": CONFIG, "environment": ENVIRONMENT, **changes}
+    return run_html(run.metrics, run.history, dict.fromkeys(titles, png), **given)
 
 
 def test_the_page_shows_the_animation_below_the_arm_and_only_if_there_is_one(tmp_path):
@@ -246,12 +245,13 @@ def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
     Console(file=paper, width=80, color_system=None).print(tables.output_table(run.metrics))
     assert "…" not in paper.getvalue()
     text = page(tmp_path, run, ())
-    assert markup.output_table(run.metrics) in text
+    table = tables.output_table(run.metrics)
+    assert table.html() in text
     assert f"; NRMSE {run.metrics['summary']['nrmse_mean']:#.4g} over members." in text
-    for k, row in enumerate(tables.output_rows(run.metrics)):
+    for k, (_, (name, unit, *merits)) in enumerate(table.rows):
         expected = [np.mean([test[name][k] for test in tests]) for name in ("rmse", "nrmse", "fit_percent", "cc")]
-        assert row[:2] == (f"position_{k + 1}", "rad")
-        np.testing.assert_allclose(row[2:], expected)
+        assert (name, unit) == (f"position_{k + 1}", "rad")
+        np.testing.assert_allclose([merit.value for merit in merits], expected)
         (cells,) = re.findall(rf"position_{k + 1} +rad +(.*)", paper.getvalue())
         np.testing.assert_allclose([float(cell) for cell in cells.split()], expected, rtol=1e-3)
     alone = page(tmp_path, tanks(members=2, samples=30), ())

@@ -6,9 +6,9 @@ import re
 import pytest
 from report_samples import arm, lgssm, tanks
 from rich.console import Console
-from rich.table import Table
 
 from pgrssnn_jax.reports import content, tables
+from pgrssnn_jax.reports.tabular import Table
 
 
 def printed(table: Table, width: int = 80) -> str:
@@ -75,7 +75,7 @@ def test_a_short_table_says_what_it_leaves_out(count, failed, limit):
 
 def test_no_member_no_sample_no_number():
     metrics = tanks(members=2, samples=1, failed=(0, 1)).metrics
-    for said in (printed(tables.summary_table(metrics)), tables.markdown_summary(metrics)):
+    for said in (printed(tables.summary_table(metrics)), tables.summary_table(metrics)._repr_html_()):
         assert "2 planned, 0 finished, 2 failed" in said
         assert "nan" not in said.lower()
         assert "None" not in said
@@ -110,13 +110,14 @@ def test_several_outputs_are_averaged_and_said_so():
     assert "mean of 6 outputs" in printed(tables.summary_table(metrics), 100)
 
 
-def test_markdown_is_a_table_of_equal_columns():
-    metrics = tanks(samples=60, members=3, origin="a\nb | c").metrics
-    text = tables.markdown_summary(metrics)
-    rows = [line for line in text.splitlines() if line.startswith("|")]
-    assert len(rows) == 2 + 3
-    assert len({row.count("|") for row in rows}) == 1
-    assert "source: file, a b | c" in text
+def test_a_table_shows_itself_in_a_notebook_escaped_and_with_exact_numbers():
+    table = Table(("name", "figure"), [("failed", ["<b>", content.number(0.123456)]), ("gap", ["more"])])
+    assert table.html() == (
+        '<div class="scroll"><table><thead><tr><th>name</th><th>figure</th></tr></thead><tbody>'
+        '<tr class="failed"><td>&lt;b&gt;</td><td><data value="0.123456">0.1235</data></td></tr>\n'
+        '<tr class="gap"><td colspan="2">more</td></tr></tbody></table></div>'
+    )
+    assert lines(printed(table), "<b>") == [["<b>", "0.1235"]]
 
 
 @pytest.mark.parametrize(
