@@ -25,14 +25,15 @@ from rich.table import Table
 from timing import medians
 
 from pgrssnn_jax.models.initial_state import InitialState
-from pgrssnn_jax.models.model import build_model, model_scaling
+from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, cast, record, take
 from pgrssnn_jax.training.objective import MemberData, build_objective
-from pgrssnn_jax.training.optimise import Fit, FitSettings
+from pgrssnn_jax.training.optimise import Fit
+from pgrssnn_jax.training.settings import FitSettings
 
 SEQUENCES, SAMPLES, JOINTS, STAGES = 60, 605, 6, 4
 

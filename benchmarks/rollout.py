@@ -22,8 +22,9 @@ from timing import medians
 
 from pgrssnn_jax.cli.entry import set_up_jax
 from pgrssnn_jax.models.initial_state import InitialState
-from pgrssnn_jax.models.model import build_model, model_scaling
+from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.linear import lgssm
@@ -31,7 +32,8 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Channel, RecordInfo, cast, record, windows
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, keys_of, map_members, repeat
 from pgrssnn_jax.training.objective import MemberData, build_objective
-from pgrssnn_jax.training.optimise import Fit, FitSettings
+from pgrssnn_jax.training.optimise import Fit
+from pgrssnn_jax.training.settings import FitSettings
 
 
 def main() -> None:
@@ -74,7 +76,7 @@ def tanks_case(repeats: int) -> dict[str, Any]:
 
 def lgssm_case(repeats: int) -> dict[str, Any]:
     """31 windows of 64 steps, 50 members."""
-    physics = lgssm(A=[[0.6, 0.7], [-0.1, 0.0]], B=[[-1.1], [0.0]], C=[[0.9, -0.1]])
+    physics = lgssm()
     data = member_data(physics, time=2000, window=64)
     return {
         "shape": "31 sequences of 64 steps",

@@ -14,7 +14,8 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, cast, record
 from pgrssnn_jax.training.members import repeat
 from pgrssnn_jax.training.objective import MemberData, build_objective
-from pgrssnn_jax.training.optimise import Fit, FitSettings
+from pgrssnn_jax.training.optimise import Fit
+from pgrssnn_jax.training.settings import FitSettings
 
 INFO = RecordInfo((Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), 4.0, "simulated")
 START = (3.0, 4.0)

@@ -9,7 +9,7 @@ from pgrssnn_jax.data.lgssm import A, B, C, load_lgssm
 from pgrssnn_jax.physics.linear import lgssm
 
 TRAIN, TEST = "toy_lgssm_pre_trainingset_shifted_{}.npz", "toy_lgssm_pre_testset_shifted.npz"
-SMALL = {"realisations": 2, "n_train": 20, "n_validation": 10, "n_test": 15, "window": 6}
+SMALL = {"realisations": 2, "n_train": 20, "n_validation": 10, "n_test": 15}
 
 
 def columns(parts, samples=30):
@@ -36,7 +36,7 @@ def simulate(u):
 
 def test_shapes_and_source_of_files(folder):
     splits = load_lgssm(path=folder, **SMALL)
-    assert splits.train.u.shape == splits.train.y.shape == (2, 3, 6, 1)
+    assert splits.train.u.shape == splits.train.y.shape == (2, 1, 20, 1)
     assert splits.validation.u.shape == (2, 1, 10, 1)
     assert splits.test.mask.shape == (2, 1, 15, 1)
     assert splits.train.info.source == "file"
@@ -44,14 +44,10 @@ def test_shapes_and_source_of_files(folder):
     np.testing.assert_array_equal(splits.validation.u, 2.0)
 
 
-def test_without_a_window_training_is_one_sequence(folder):
-    assert load_lgssm(path=folder, **{**SMALL, "window": None}).train.u.shape == (2, 1, 20, 1)
-
-
 @pytest.mark.data
 def test_published_shapes(data):
     splits = load_lgssm(realisations=2)
-    assert splits.train.u.shape == (2, 31, 64, 1)
+    assert splits.train.u.shape == (2, 1, 2000, 1)
     assert splits.validation.u.shape == (2, 1, 2000, 1)
     assert splits.test.u.shape == (2, 1, 5000, 1)
     assert not np.array_equal(splits.train.u[0], splits.train.u[1])
@@ -87,8 +83,8 @@ def test_generated_data_are_seeded():
 
 def test_less_generated_data_is_the_beginning_of_more():
     small = load_lgssm(generated=True, **SMALL)
-    big = load_lgssm(generated=True, realisations=3, n_train=60, n_validation=40, n_test=30, window=6)
-    np.testing.assert_array_equal(small.train.y, big.train.y[:2, :3])
+    big = load_lgssm(generated=True, realisations=3, n_train=60, n_validation=40, n_test=30)
+    np.testing.assert_array_equal(small.train.y, big.train.y[:2, :, :20])
     np.testing.assert_array_equal(small.validation.y, big.validation.y[:2, :, :10])
     np.testing.assert_array_equal(small.test.y, big.test.y[:2, :, :15])
 
@@ -96,7 +92,7 @@ def test_less_generated_data_is_the_beginning_of_more():
 def test_realisations_differ_and_share_their_test_record():
     splits = load_lgssm(generated=True, **SMALL)
     assert not np.array_equal(splits.train.u[0], splits.train.u[1])
-    assert not np.array_equal(splits.train.u[0, 0], splits.validation.u[0, 0, :6])
+    assert not np.array_equal(splits.train.u[0, 0, :10], splits.validation.u[0, 0])
     np.testing.assert_array_equal(splits.test.y[0], splits.test.y[1])
 
 
@@ -178,7 +174,6 @@ def test_a_bad_file_is_one_sentence_with_its_place(folder, kind, expected):
     [
         ({"realisations": 0}, "data.realisations: expected between 1 .*, found 0"),
         ({"n_test": 0}, "data.n_test: expected between 1 .*, found 0"),
-        ({"window": 21}, "data.window: expected between 1 and 20 training samples, found 21"),
         ({"path": "nowhere", "generated": False}, "data.path: expected the folder .*, found no folder: nowhere"),
         ({"path": "nowhere"}, "data.generated: expected false where data.path names a folder, found true"),
         ({"seed": -1}, "data.seed: expected between 0 .*, found -1"),

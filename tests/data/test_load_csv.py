@@ -59,19 +59,6 @@ def test_fewer_training_samples_are_taken_from_the_front(write):
     assert samples(splits.validation) == [[10, 11]]
 
 
-def test_windows_cut_training_sequences_only(write):
-    splits = load(train=write("a", 12), test=write("b", 6), window=4)
-    assert samples(splits.train) == [[0, 1, 2, 3], [4, 5, 6, 7]]
-    assert samples(splits.validation) == [[9, 10, 11]]
-    assert samples(splits.test) == [list(range(6))]
-
-
-def test_windows_of_nothing_but_padding_go(write):
-    splits = load(train=write("a", 4, 2, 4), test=write("b", 3), window=2)
-    assert samples(splits.train) == [[0, 1], [2, 3], [4, 5]]
-    assert splits.train.mask.all()
-
-
 @pytest.mark.parametrize("key", ["train", "test", "validation"])
 def test_messages_name_the_key_of_the_configuration(write, tmp_path, key):
     files = {"train": write("a", 8), "test": write("b", 8), "validation": write("c", 8)}
@@ -87,7 +74,6 @@ def test_messages_name_the_key_of_the_configuration(write, tmp_path, key):
         ({"n_train": 7}, r"data.n_train: expected between 1 and 6 samples per sequence in a.csv.*, found 7"),
         ({"n_train": 0}, r"data.n_train: expected between 1 and 6 .*, found 0"),
         ({"n_validation": 8}, r"data.n_validation: expected between 1 and 7 of the 8 samples in a.csv.*, found 8"),
-        ({"window": 7}, r"data.window: expected between 1 and 6 samples per training sequence, found 7"),
     ],
 )
 def test_counts_that_the_files_cannot_serve(write, option, expected):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toys import toy_physics
 
-from pgrssnn_jax.effects.systems import add_named, catalogue, system_of
+from pgrssnn_jax.effects.systems import add_named, catalogue, in_catalogue_order, system_of
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -94,15 +94,20 @@ def test_null_in_a_file_is_no_limit():
     assert tanks.params.effects["pump_saturation"]["voltage"].dtype == np.float64
 
 
-def test_named_effects_come_in_the_catalogues_order_whatever_the_files():
-    given = {"sensor_offset": {"offset": [0.1]}, "input_delay": {"delay": 4.0}, "leak_tank1": {"rate": 0.001}}
-    one, other = (add_named(cascaded_tanks(), numbers) for numbers in (given, dict(reversed(given.items()))))
-    order = [name for name in names(cascaded_tanks()) if name in given]
-    assert (
-        [name for name in one.params.effects if name in given]
-        == [name for name in other.params.effects if name in given]
-        == order
-    )
+GIVEN = {"sensor_offset": {"offset": [0.1]}, "input_delay": {"delay": 4.0}, "leak_tank1": {"rate": 0.001}}
+
+
+@pytest.mark.parametrize("numbers", [GIVEN, dict(reversed(GIVEN.items()))], ids=["one way", "the other"])
+def test_named_effects_are_added_in_the_order_in_which_they_are_named(numbers):
+    physics = add_named(cascaded_tanks(), numbers)
+    assert list(physics.params.effects) == list(physics.parameters.effects) == list(numbers)
+
+
+@pytest.mark.parametrize("given", [list(GIVEN), list(reversed(GIVEN))], ids=["one way", "the other"])
+def test_the_catalogues_order_does_not_depend_on_how_effects_are_named(given):
+    order = [name for name in names(cascaded_tanks()) if name in GIVEN]
+    assert in_catalogue_order(cascaded_tanks(), given) == order
+    assert in_catalogue_order(cascaded_tanks(), ["my_own", *given, "another"]) == [*order, "my_own", "another"]
 
 
 def test_named_numbers_are_checked():

@@ -17,7 +17,7 @@ from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.training.members import select
 from pgrssnn_jax.training.objective import Trainable
-from pgrssnn_jax.training.optimise import FitSettings
+from pgrssnn_jax.training.settings import FitSettings
 
 W_PGNN = partial(ModelSpec, recurrent=False, feedback=True, features="radial", hidden=5)
 

@@ -9,8 +9,8 @@ from toys import small_record
 from pgrssnn_jax.models.scaling import fit_scaling
 from pgrssnn_jax.physics.base import Signal, discrete
 from pgrssnn_jax.physics.linear import lgssm
-from pgrssnn_jax.records.record import Splits, cast, stack
-from pgrssnn_jax.records.scaling import Affine, identity, measured_units, signal_scaling
+from pgrssnn_jax.records.record import cast, stack
+from pgrssnn_jax.records.scaling import Affine, identity, in_units, measured_units, signal_scaling, standard_units
 
 DRAW = np.random.default_rng(3)
 U = DRAW.normal([1.0, -2.0], [0.5, 3.0], size=(2, 30, 2))
@@ -206,27 +206,41 @@ def test_a_black_box_has_no_states_to_scale():
         np.testing.assert_array_equal(a, b)
 
 
-def test_standardising_looks_at_training_data_alone():
-    """Two datasets: each is scaled by its own training record; validation and test follow, whatever they hold."""
+def test_standard_units_are_those_of_every_datasets_own_training_record():
+    """Two datasets: each is scaled by its own training record; other records follow, whatever they hold."""
     train = stack([small_record(U, Y), small_record(3 * U + 1, 5 * Y - 2)])
     other = stack([small_record(7 * U, 9 * Y), small_record(U - 50, Y + 50)])
-    scaled, units = standardise(Splits(train, other, other))
-    again, same = standardise(Splits(train, train, other._replace(y=other.y * 100)))
-    for a, b in zip(*(jax.tree.leaves((n, s.train)) for n, s in ((units, scaled), (same, again))), strict=True):
-        np.testing.assert_array_equal(a, b)
+    units = standard_units(train)
+    scaled, scaled_other = in_units(train, units), in_units(other, units)
     for i in range(2):
         for name in "uy":
             raw = getattr(train, name)[i]
             mean, deviation = raw.mean((0, 1)), np.sqrt(np.mean([sequence.var(0) for sequence in raw], 0))
-            for scaled_record, record in ((scaled.train, train), (scaled.test, other), (scaled.validation, other)):
+            for scaled_record, record in ((scaled, train), (scaled_other, other)):
                 expected = (getattr(record, name)[i] - mean) / deviation
                 np.testing.assert_allclose(getattr(scaled_record, name)[i], expected, rtol=1e-9, atol=1e-9)
             unit = getattr(units, name)
-            back = unit.offset[i] + unit.scale[i] * getattr(scaled.test, name)[i]
+            back = unit.offset[i] + unit.scale[i] * getattr(scaled_other, name)[i]
             np.testing.assert_allclose(back, getattr(other, name)[i], rtol=1e-9, atol=1e-9)
-    same = measured_units(Splits(train, other, other))
-    for unit, n in zip(same, (train.u.shape, train.y.shape), strict=True):
+    assert scaled.info == train.info
+    np.testing.assert_array_equal(scaled_other.mask, other.mask)
+
+
+def test_standard_units_do_not_count_what_was_not_measured():
+    y, mask = Y.copy(), np.ones(Y.shape, bool)
+    y[0, :10, 0], mask[0, :10, 0] = 1e6, False
+    units = standard_units(stack([small_record(U, y, mask=mask)]))
+    sequences = Y[0, 10:, 0], Y[1, :, 0]
+    np.testing.assert_allclose(units.y.offset[0, 0], np.concatenate(sequences).mean(), rtol=1e-12)
+    np.testing.assert_allclose(units.y.scale[0, 0], np.sqrt(np.mean([s.var() for s in sequences])), rtol=1e-12)
+
+
+def test_measured_units_are_the_identity_of_every_dataset():
+    train = stack([small_record(U, Y), small_record(3 * U + 1, 5 * Y - 2)])
+    units = measured_units(train)
+    for unit, n in zip(units, (train.u.shape, train.y.shape), strict=True):
         np.testing.assert_array_equal(unit.offset, np.zeros((2, n[-1])))
         np.testing.assert_array_equal(unit.scale, np.ones((2, n[-1])))
-    assert scaled.train.info == train.info
-    np.testing.assert_array_equal(scaled.validation.mask, other.mask)
+    same = in_units(train, units)
+    np.testing.assert_array_equal(same.u, train.u)
+    np.testing.assert_array_equal(same.y, train.y)

@@ -8,8 +8,9 @@ from small import simulated, small_fit
 
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.physics.tanks import cascaded_tanks
+from pgrssnn_jax.records.build import record_from
 from pgrssnn_jax.records.record import Record, cast, crop, stack
-from pgrssnn_jax.records.splits import KFold, kfold_masks
+from pgrssnn_jax.records.splits import KFold, by_dataset, cut_windows, estimation_parts, kfold_masks, split_tail
 from pgrssnn_jax.training.members import select
 
 SAMPLES, TRAINED = 50, 35
@@ -98,7 +99,75 @@ def test_a_fold_in_which_nothing_was_measured_is_named() -> None:
 
 
 def test_members_of_an_experiment_share_one_run_and_report_what_they_set_aside() -> None:
-    plan = planned("+experiment=cascaded_tank", "data.generated=true", "data.folds=5")
+    plan = planned("+experiment=cascaded_tank", "data.generated=true", "data.folds=5").plan
     assert plan.data.train.u.shape[:3] == (10, 1, 1024)
-    assert np.array_equal(plan.measured.validation.mask, plan.data.validation.mask)
+    assert np.array_equal(plan.validation.mask, plan.data.validation.mask)
     assert (plan.data.train.info.same_run, plan.data.validation.info.same_run) == (False, True)
+
+
+# --- what validates where nobody says, and windows --------------------------------------------------------------------
+
+
+def counting(*lengths: int) -> Record:
+    """Samples that count up over all sequences, in sequences of these lengths."""
+    ends = np.cumsum(lengths)
+    us = [np.arange(end - n, end) for n, end in zip(lengths, ends, strict=True)]
+    return record_from(us, [u + 0.5 for u in us], dt=1.0, inputs={"u": "V"}, outputs={"y": "V"})
+
+
+def samples(whole: Record) -> list:
+    return whole.u[..., 0].tolist()
+
+
+def test_without_a_validation_record_the_tail_of_training_validates() -> None:
+    train, aside = estimation_parts(counting(8))
+    assert (samples(train), samples(aside)) == ([[[0, 1, 2, 3, 4, 5]]], [[[6, 7]]])
+    train, aside = estimation_parts(counting(*[2] * 8))
+    assert (train.u.shape, aside.u.shape) == ((1, 6, 2, 1), (1, 2, 2, 1))
+    assert np.array_equal(np.concatenate([train.u, aside.u], 1)[0], counting(*[2] * 8).u)
+
+
+def test_a_validation_record_that_is_given_wins_over_the_one_that_came_with_the_data() -> None:
+    whole, came, given = counting(8), counting(3), counting(5)
+    train, aside = estimation_parts(whole._replace(validation=came))
+    assert (samples(train), samples(aside)) == ([samples(whole)], [samples(came)])
+    assert samples(estimation_parts(whole._replace(validation=came), given)[1]) == [samples(given)]
+    assert train.validation is None
+
+
+def test_realisations_keep_their_axis() -> None:
+    one, two = counting(8), counting(8)
+    both = stack([one, two._replace(u=two.u + 100)])
+    assert by_dataset(both).u.shape == (2, 1, 8, 1)
+    assert by_dataset(one).u.shape == (1, 1, 8, 1)
+    train, aside = split_tail(both)
+    assert (train.u.shape, aside.u.shape) == ((2, 1, 6, 1), (2, 1, 2, 1))
+    assert samples(aside)[1] == [[106, 107]]
+    assert (train.info.begins, aside.info.begins) == (0, 6)
+
+
+@pytest.mark.parametrize("count", [0, 8])
+def test_a_tail_leaves_something_to_train_on(count: int) -> None:
+    with pytest.raises(
+        ValueError, match=f"data.n_validation: expected between 1 and 7 of the 8 samples .*found {count}"
+    ):
+        split_tail(counting(8), count)
+
+
+def test_windows_cut_every_dataset() -> None:
+    both = stack([counting(9), counting(9)._replace(u=counting(9).u + 100)])
+    cut = cut_windows(both, 4)
+    assert samples(cut) == [[[0, 1, 2, 3], [4, 5, 6, 7]], [[100, 101, 102, 103], [104, 105, 106, 107]]]
+
+
+def test_windows_of_nothing_but_padding_go() -> None:
+    cut = cut_windows(by_dataset(counting(4, 2, 4)), 2)
+    assert samples(cut) == [[[0, 1], [2, 3], [4, 5], [6, 7], [8, 9]]]
+    assert cut.mask.all()
+
+
+@pytest.mark.parametrize("length", [0, 9])
+def test_windows_longer_than_a_sequence_are_refused(length: int) -> None:
+    sentence = f"data.window: expected between 1 and 8 samples per training sequence, found {length}"
+    with pytest.raises(ValueError, match=sentence):
+        cut_windows(by_dataset(counting(8)), length)

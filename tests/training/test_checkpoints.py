@@ -14,7 +14,7 @@ from pgrssnn_jax.records.scaling import Affine, Units
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.loop import Losses, Training, no_losses, train
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
-from pgrssnn_jax.training.optimise import FitSettings
+from pgrssnn_jax.training.settings import FitSettings
 
 
 def begun(fit, data):

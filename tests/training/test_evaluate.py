@@ -1,6 +1,7 @@
 """From predictions to metrics.json: nothing is lost, nothing is averaged over silently."""
 
 from functools import cache
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +9,13 @@ import numpy as np
 import pytest
 from small import INFO, small_fit
 
-from pgrssnn_jax.records.record import Record, record, stack
-from pgrssnn_jax.records.scaling import Affine, Units
+from pgrssnn_jax.records.record import Record, cast, record, stack
+from pgrssnn_jax.records.scaling import Affine, Units, identity, in_units
 from pgrssnn_jax.training import evaluation as evaluate
-from pgrssnn_jax.training.evaluation import Predictions
-from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
-from pgrssnn_jax.training.optimise import MemberStatus
+from pgrssnn_jax.training.evaluation import Predictions, Trained, predict, predict_from
+from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members, repeat
+from pgrssnn_jax.training.optimise import MemberState, MemberStatus
+from pgrssnn_jax.training.plan import MemberTests
 
 MEMBERS = [Member(0, 0), Member(1, 0), Member(2, 0)]
 
@@ -29,19 +31,33 @@ def begun():
     return jax.jit(map_members(fit.begin, MemberMapping()))(keys_of(MEMBERS), data)
 
 
-def case(outcomes=(0, 1, 0), finite=(True, True, True)):
+class Case(NamedTuple):
+    state: MemberState
+    test: Record
+    predictions: Predictions
+    validated: np.ndarray
+
+
+def case(outcomes=(0, 1, 0), finite=(True, True, True)) -> Case:
     """Three members that are wrong by 1, 2 and 3 V everywhere."""
     state = begun()._replace(
         outcome=jnp.array(outcomes, jnp.int32), best_epoch=jnp.array([5, 6, 7]), epoch=jnp.array([9, 9, 9])
     )
     test = stack([measured()] * 3)
     wrong = np.array([1.0, 2.0, 3.0])[:, None, None, None]
-    predictions = Predictions(test.y + wrong, test.y - wrong, np.array(finite), np.zeros((3, 2, 2)))
-    return state, test, predictions
+    return Case(state, test, Predictions(test.y + wrong, np.array(finite), np.zeros((3, 2, 2))), test.y - wrong)
 
 
-def rows_of(state, test, predictions, n_inits=(0, 5)):
-    return evaluate.member_rows(MEMBERS, state, predictions, validation=test, test=test, n_inits=n_inits)
+def trained(state: MemberState, units: Units | None = None, start: np.ndarray | None = None) -> Trained:
+    fit, data = small_fit()
+    units = units or Units(*(repeat(identity(1), 3) for _ in range(2)))
+    start = np.full((3, 2), np.nan) if start is None else start
+    return Trained(fit.objective, MemberMapping(), MEMBERS, state, data.scaling, units, start)
+
+
+def rows_of(state, test, predictions, validated, n_inits=(0, 5)):
+    tests = MemberTests(test, test, list(n_inits))
+    return evaluate.member_rows(trained(state), tests, predictions, test, validated)
 
 
 def test_every_member_has_its_figures_and_its_reason():
@@ -54,8 +70,8 @@ def test_every_member_has_its_figures_and_its_reason():
 
 
 def test_a_failed_member_stays_in_the_table_and_out_of_the_means():
-    state, test, predictions = case(outcomes=(0, MemberStatus.LOSS_NOT_FINITE, 0))
-    rows = rows_of(state, test, predictions)
+    state, test, predictions, validated = case(outcomes=(0, MemberStatus.LOSS_NOT_FINITE, 0))
+    rows = rows_of(state, test, predictions, validated)
     assert rows[1]["status"] == "failed"
     assert rows[1]["test"] is None
     mean, deviation = evaluate.ensemble(rows, test, predictions)
@@ -75,8 +91,8 @@ def test_a_member_that_diverges_on_the_test_record_has_failed():
 
 
 def test_no_member_left_gives_no_figures_and_no_error():
-    state, test, predictions = case(outcomes=(2, 2, 2))
-    rows = rows_of(state, test, predictions)
+    state, test, predictions, validated = case(outcomes=(2, 2, 2))
+    rows = rows_of(state, test, predictions, validated)
     mean, _ = evaluate.ensemble(rows, test, predictions)
     found = evaluate.summary(rows, test, mean, [0])
     assert np.isnan(mean).all()
@@ -86,9 +102,9 @@ def test_no_member_left_gives_no_figures_and_no_error():
 
 
 def test_errors_that_cancel_make_the_ensemble_better_than_its_members():
-    state, test, predictions = case()
-    predictions = predictions._replace(test=test.y + np.array([-1.0, 0.5, 0.5])[:, None, None, None])
-    rows = rows_of(state, test, predictions)
+    state, test, predictions, validated = case()
+    predictions = predictions._replace(y=test.y + np.array([-1.0, 0.5, 0.5])[:, None, None, None])
+    rows = rows_of(state, test, predictions, validated)
     mean, _ = evaluate.ensemble(rows, test, predictions)
     found = evaluate.summary(rows, test, mean, [0])
     assert found["rmse_ensemble"] == pytest.approx(0.0, abs=1e-12)
@@ -96,23 +112,59 @@ def test_errors_that_cancel_make_the_ensemble_better_than_its_members():
 
 
 def test_members_with_different_test_records_have_no_ensemble():
-    state, test, predictions = case()
+    state, test, predictions, validated = case()
     test = stack([measured(seed=0), measured(seed=1), measured(seed=2)])
-    rows = rows_of(state, test, predictions)
+    rows = rows_of(state, test, predictions, validated)
     mean, _ = evaluate.ensemble(rows, test, predictions)
     assert np.isnan(mean).all()
     assert np.isfinite(evaluate.summary(rows, test, mean, [0])["rmse_mean"])
 
 
 def test_one_member_has_no_spread():
-    state, test, predictions = case(outcomes=(0, 2, 2))
-    rows = rows_of(state, test, predictions)
+    state, test, predictions, validated = case(outcomes=(0, 2, 2))
+    rows = rows_of(state, test, predictions, validated)
     assert evaluate.summary(rows, test, test.y[0], [0])["rmse_std"] == 0.0
 
 
+def test_without_a_validation_record_there_are_no_figures_on_it():
+    state, test, predictions, _ = case()
+    rows = evaluate.member_rows(trained(state), MemberTests(test, test, [5]), predictions)
+    assert [row["validation"] for row in rows] == [None] * 3
+    assert set(rows[0]["by_n_init"]) == {"5"}
+
+
+UNITS = Units(
+    Affine(np.array([[0.5], [0.0], [-1.0]]), np.array([[2.0], [1.0], [4.0]])),
+    Affine(np.array([[1.0], [2.0], [3.0]]), np.array([[2.0], [2.0], [4.0]])),
+)
+
+
 def test_standardised_predictions_return_to_measured_units():
-    _, _, predictions = case()
-    y = Affine(np.array([[1.0], [2.0], [3.0]]), np.array([[2.0], [2.0], [4.0]]))
-    found = evaluate.in_physical_units(predictions, Units(y, y))
-    np.testing.assert_allclose(found.test[2], 3.0 + 4.0 * predictions.test[2])
-    np.testing.assert_allclose(found.validation[0], 1.0 + 2.0 * predictions.validation[0])
+    _, data = small_fit()
+    test = cast(stack([measured()] * 3), np.float32)
+    (plain, aside), (found, validated) = (predict(trained(begun(), units), test, data) for units in (None, UNITS))
+    for i in range(3):
+        offset, scale = UNITS.y.offset[i, 0], UNITS.y.scale[i, 0]
+        np.testing.assert_allclose(found.y[i], offset + scale * plain.y[i], rtol=1e-6)
+        np.testing.assert_allclose(validated[i], offset + scale * aside[i], rtol=1e-6)
+    np.testing.assert_array_equal(found.x0, plain.x0)
+
+
+def test_predictions_without_the_data_of_training_are_the_same():
+    _, data = small_fit()
+    test = cast(stack([measured()] * 3), np.float32)
+    (with_data, aside), (alone, none) = predict(trained(begun()), test, data), predict(trained(begun()), test)
+    np.testing.assert_allclose(alone.y, with_data.y, rtol=1e-6)
+    assert alone.finite.all()
+    assert aside is not None
+    assert none is None
+
+
+def test_a_run_from_given_states_takes_inputs_as_measured():
+    """From where the runs on a test record began, in standardised units, the same is predicted."""
+    one = measured()
+    test = cast(in_units(stack([one] * 3), UNITS), np.float32)
+    found, _ = predict(trained(begun(), UNITS), test)
+    again = predict_from(trained(begun(), UNITS), np.asarray(one.u), found.x0)
+    np.testing.assert_allclose(again.y, found.y, rtol=1e-4, atol=1e-4)
+    assert again.finite.all()

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import pandas as pd
 import pytest
 from small import small_fit
 from toys import quick_jit
@@ -19,7 +18,8 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.training.loop import Losses, Training, losses_table, no_losses, train
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members, select
 from pgrssnn_jax.training.objective import Trainable
-from pgrssnn_jax.training.optimise import Fit, FitSettings, MemberStatus, build_optimizer
+from pgrssnn_jax.training.optimise import Fit, MemberStatus, build_optimizer
+from pgrssnn_jax.training.settings import FitSettings
 
 
 def begin(fit: Fit, data, mapping: MemberMapping | None = None):
@@ -247,7 +247,7 @@ def test_numbers_of_effects_are_trained_beside_those_of_the_physics():
 
 def test_history_has_a_row_per_member_and_epoch_in_which_it_trained():
     losses = Losses(np.array([[3.0, 2.0], [1.0, np.nan]]), np.array([[np.nan, 5.0], [np.nan, np.nan]]))
-    table = losses_table(losses, pd.DataFrame({"seed": [4, 5], "dataset": [0, 1]}))
+    table = losses_table(losses, [Member(4, 0), Member(5, 1)])
     assert table[["epoch", "seed", "dataset"]].to_numpy().tolist() == [[1, 4, 0], [2, 4, 0], [1, 5, 1]]
     assert table["train_loss"].tolist() == [3.0, 2.0, 1.0]
 

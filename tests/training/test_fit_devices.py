@@ -9,7 +9,8 @@ from toys import quick_jit
 
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
-from pgrssnn_jax.training.optimise import FitSettings, MemberStatus
+from pgrssnn_jax.training.optimise import MemberStatus
+from pgrssnn_jax.training.settings import FitSettings
 
 FED_BACK = ModelSpec(recurrent=False, feedback=True, hidden=4)
 ALONE = ModelSpec(networks=False)

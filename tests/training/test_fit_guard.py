@@ -11,7 +11,8 @@ from toys import quick_jit
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members, select
 from pgrssnn_jax.training.objective import Loss, Trainable
-from pgrssnn_jax.training.optimise import ROLLBACKS, FitSettings, MemberState, MemberStatus, _outcome, build_optimizer
+from pgrssnn_jax.training.optimise import MemberState, MemberStatus, _outcome, build_optimizer
+from pgrssnn_jax.training.settings import ROLLBACKS, FitSettings
 
 
 def trained(fit, data, seeds, change=lambda state: state):
