@@ -14,6 +14,7 @@ from unittest import mock
 
 import numpy as np
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from rich.console import Console
 
 from pgrssnn_jax.cli import entry
@@ -40,6 +41,13 @@ def composed(*overrides: str, name: str = "train") -> dict:
     register()
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         return plain_config(compose(name, overrides=list(overrides)))
+
+
+def config_names(group: str) -> list[str]:
+    """What a group of the configuration can be, from files or from the package."""
+    register()
+    files = {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
+    return sorted(files | {name.removesuffix(".yaml") for name in ConfigStore.instance().list(group)})
 
 
 def planned(*overrides: str, notify=lambda line: None) -> Planned:

@@ -1,12 +1,25 @@
 """Every configuration composes and trains for two epochs, and says where its numbers come from."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import QUICK, ROOT, composed, planned, trained, write_benchmark
+from commands import QUICK, ROOT, composed, config_names, planned, trained, write_benchmark
 
-MODELS = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
+from pgrssnn_jax.cli.plan import load_physics
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.training.recipes import DEFAULT, RECIPES
+from pgrssnn_jax.training.settings import settings_from_config, training_settings
+
+EARLIER = {
+    "pgrssnn_jax.physics.lgssm.linear": "pgrssnn_jax.physics.lgssm",
+    "pgrssnn_jax.physics.arm.arm.arm": "pgrssnn_jax.physics.arm",
+}
+
+MODELS = config_names("model")
 PUBLISHED = {
     f"{guide}{rest}" for guide in ("pg_", "") for rest in ("rssnn", "rssnn_fb", "rssnn_sgm", "fcssnn", "fcssnn_sgm")
 }
@@ -36,7 +49,7 @@ def test_every_model_trains_for_two_epochs(tmp_path, model):
     assert np.isfinite(metrics["summary"]["rmse_mean"])
 
 
-LGSSM = sorted(path.stem for path in (ROOT / "conf/physics").glob("lgssm*.yaml"))
+LGSSM = [name for name in config_names("physics") if name.startswith("lgssm")]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +66,7 @@ def test_every_lgssm_physics_trains_for_two_epochs(tmp_path, physics):
 
 def test_seeds_and_realisations_train_in_one_program():
     small = ["data.generated=true", "data.realisations=3", "data.n_train=130", "data.n_validation=50", "data.n_test=90"]
-    plan = planned("+experiment=lgssm", *small, "n_seeds=2")
+    plan = planned("+experiment=lgssm", *small, "n_seeds=2").plan
     assert [tuple(member) for member in plan.members] == [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (1, 2)]
     assert plan.data.train.u.shape == (6, 2, 64, 1)
 
@@ -82,14 +95,65 @@ def test_every_file_opens_with_its_command_line(path):
     assert first.startswith(("# python train.py", "# python discover.py", "# python report.py"))
 
 
-@pytest.mark.parametrize("group", ["physics", "data", "fit", "discovery"])
-def test_every_number_has_its_unit_or_source(group):
-    for path in (ROOT / "conf" / group).glob("*.yaml"):
-        for line in path.read_text().splitlines():
-            key, _, rest = line.partition(":")
-            value = rest.split("#")[0].strip()
-            if not line.startswith("#") and value and (value[0].isdigit() or value[0] in "[-") and key != "defaults":
-                assert "#" in rest, f"{path.name}: {line}"
+def said_numbers(path: Path) -> list[str]:
+    """Lines that set a number, or a list of them: `key: 1` in YAML, `key: int = 1` and `"key": 1,` in Python."""
+    if path.suffix == ".yaml":
+        return re.findall(r"^ *\w[\w.]*: *(?:[-\[.]?\d.*|\[[-\[].*)$", path.read_text(), flags=re.M)
+    return re.findall(r'^    (?: *"\w+": |\w+: [^=\n]+ = )[-(\[]?\d.*$', path.read_text(), flags=re.M)
+
+
+FROM_CODE = [ROOT / f"pgrssnn_jax/{name}.py" for name in ("training/settings", "training/recipes", "models/spec")]
+WITH_NUMBERS = [path for path in sorted((ROOT / "conf").rglob("*.yaml")) if path.parent.name != "hydra"]
+
+
+@pytest.mark.parametrize("path", [*WITH_NUMBERS, *FROM_CODE], ids=lambda path: path.stem)
+def test_every_number_has_its_unit_or_source(path):
+    for line in said_numbers(path):
+        assert "#" in line, f"{path.name}: {line}"
+
+
+def test_numbers_are_seen_where_they_stand():
+    """The test before must not pass because it sees nothing."""
+    assert sum(len(said_numbers(path)) for path in WITH_NUMBERS) > 10
+    assert all(len(said_numbers(path)) > 4 for path in FROM_CODE)
+
+
+def groups() -> dict[str, set[str]]:
+    return {name: set(config_names(name)) for name in ("model", "fit", "members", "discovery", "data", "physics")}
+
+
+def test_every_group_is_there():
+    assert groups()["data"] == {"cascaded_tank", "lgssm", "robot_real", "robot_simulated", "csv"}
+    assert groups()["fit"] == {"published"}
+    assert groups()["members"] == {"auto"}
+    assert groups()["discovery"] == {"standard"}
+    assert groups()["physics"] >= {"tanks", "lgssm", "arm", "custom", "arm_model1", "arm_true", "lgssm_true"}
+
+
+def test_the_configuration_and_the_python_defaults_are_the_same():
+    """No number stands twice: what `pg.fit` would take is what the command composes, but for the physics."""
+    for name, recipe in RECIPES.items():
+        for model in ("pg_rssnn", "rssnn", "physics_only"):
+            config = composed(f"+experiment={name}", f"model={model}")
+            assert settings_from_config(config) == training_settings(model, recipe.settings(discovered=False)), name
+            found = composed(f"+experiment={name}", f"model={model}", "physics.effects=discovery.json")
+            assert settings_from_config(found) == training_settings(model, recipe.settings(discovered=True)), name
+    own = composed("physics=tanks", "data.train=A.csv", "data.test=B.csv")
+    assert settings_from_config(own) == training_settings("pg_rssnn", DEFAULT.settings(discovered=False))
+    proof = composed("+experiment=cascaded_tank", name="discover")
+    assert call_with(DiscoverySettings, proof["discovery"], "discovery") == DiscoverySettings()
+
+
+def test_earlier_spellings_are_taken_with_a_warning():
+    now = composed("+experiment=cascaded_tank")
+    assert now["fit"]["guard"] == "rollback"
+    before = {**now, "fit": {**now["fit"], "guard": "retreat"}}
+    with pytest.warns(FutureWarning, match="'retreat' is now called 'rollback'"):
+        assert settings_from_config(before) == settings_from_config(now)
+    for old, new in EARLIER.items():
+        with pytest.warns(FutureWarning, match=f"{old}' is now called '{new}'"):
+            physics = load_physics({"_target_": old, "effects": None})
+        assert physics.name == load_physics({"_target_": new}).name
 
 
 @pytest.mark.data

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import QUICK, ROOT, called, composed, planned, trained
+from commands import QUICK, called, composed, config_names, planned, trained
 
 from pgrssnn_jax.data.arm_simulator import simulated_arm
 from pgrssnn_jax.physics.arms.tables import described
@@ -19,7 +19,7 @@ def metrics_of(run) -> dict:
     return json.loads((run.path / "metrics.json").read_text())
 
 
-ARMS = sorted(path.stem for path in (ROOT / "conf/physics").glob("arm*.yaml"))
+ARMS = [name for name in config_names("physics") if name.startswith("arm")]
 
 
 @pytest.mark.parametrize("physics", [p if p == "arm_model3" else pytest.param(p, marks=pytest.mark.slow) for p in ARMS])
@@ -59,7 +59,7 @@ def test_a_trained_run_shows_the_arm(tmp_path):
 
 
 def test_velocities_have_a_scale_of_their_own_and_no_offset():
-    scaling = planned("+experiment=robot_simulated", "data.realisations=1", *SMALL).data.scaling
+    scaling = planned("+experiment=robot_simulated", "data.realisations=1", *SMALL).plan.data.scaling
     assert not scaling.x.offset[:, 6:].any()
     assert np.abs(scaling.x.offset[:, :6]).min() > 0
     assert (scaling.x.scale[:, 6:] != scaling.x.scale[:, :6]).all()
@@ -67,7 +67,7 @@ def test_velocities_have_a_scale_of_their_own_and_no_offset():
 
 def test_published_scaling_gives_velocities_the_positions_units_and_starts_at_their_mean(tmp_path):
     overrides = ["data.realisations=1", "data.published_scaling=true", "initial_state=scaled_zero", *SMALL]
-    plan = planned("+experiment=robot_simulated", *overrides)
+    plan = planned("+experiment=robot_simulated", *overrides).plan
     scaling = plan.data.scaling.x
     np.testing.assert_array_equal(scaling.offset[:, 6:], scaling.offset[:, :6])
     np.testing.assert_array_equal(scaling.scale[:, 6:], scaling.scale[:, :6])
@@ -110,7 +110,7 @@ def test_degrees_are_found_by_their_range(tmp_path):
 def test_positions_within_the_limits_and_their_noise_are_taken(tmp_path):
     tables = described("kuka_kr300")
     file = write_arm_csv(tmp_path / "arm.csv")
-    y = planned("physics=arm", "data=csv", f"data.train={file}", f"data.test={file}").splits.test.y
+    y = planned("physics=arm", "data=csv", f"data.train={file}", f"data.test={file}").test.y
     assert (y <= tables.position_max + 1).all()
 
 
@@ -164,7 +164,7 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
     data.write_text("\n".join(["torque_1,torque_2,position_1,position_2", *rows]) + "\n")
     lines = []
     overrides = [f"physics.urdf={urdf}", "data=csv", f"data.train={data}", f"data.test={data}"]
-    plan = planned("physics=arm", *overrides, notify=lines.append)
+    plan = planned("physics=arm", *overrides, notify=lines.append).plan
     assert "joints of two: 1 to_aa, 2 to_zz" in lines
     assert plan.fit.objective.model.physics.skeleton is None  # two arms on one base are no line
 

@@ -5,11 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import QUICK, ROOT, called, command
-from hydra import compose, initialize_config_dir
+from commands import QUICK, called, command, composed
 
 from pgrssnn_jax.cli.discover import checked
-from pgrssnn_jax.cli.plan import plain
 from pgrssnn_jax.discovery.card import discovery_json
 from pgrssnn_jax.discovery.workflow import discover
 
@@ -81,8 +79,7 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
             rows.append(f"{name},{now},{x + 0.02 * draw.standard_normal()}")
     (tmp_path / "two.csv").write_text("\n".join(["sequence,u,y", *rows]))
     pair = [f"data.train={tmp_path / 'two.csv'}", f"data.validation={tmp_path / 'two.csv'}", *files(tmp_path)[1:]]
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        setup = checked(plain(compose("discover", [*LINEAR, *pair, *SHORT])), lambda line: None)
+    setup = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
     said = discovery_json(discover(setup, lambda line: None), setup, command="")
     (effect,) = said["effects"]
     above = sum(float(row.split(",")[1]) > 0.8 for row in rows)
@@ -104,8 +101,7 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
             rows.append(f"{sequence},{now},{x + 0.02 * draw.standard_normal()},{int(short or t % 2 == 0)}")
     (tmp_path / "train.csv").write_text("\n".join(["sequence,u,y,mask", *rows]))
     pair = [f"data.train={tmp_path / 'train.csv'}", f"data.validation={tmp_path / 'train.csv'}", *files(tmp_path)[1:]]
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        setup = checked(plain(compose("discover", [*LINEAR, *pair, *SHORT])), lambda line: None)
+    setup = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
     found = discover(setup, lambda line: None)
     assert found.judged.verdict == "effect_found"
     assert found.found.final.estimate.active == ("input_saturation",)
@@ -182,8 +178,7 @@ def hole(u, y):
     ],
 )
 def test_bad_input_is_named(tmp_path, samples, change, more, sentence):
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("discover", [*LINEAR, *files(tmp_path, samples, change), *SHORT, *more])
+    config = composed(*LINEAR, *files(tmp_path, samples, change), *SHORT, *more, name="discover")
     with pytest.raises(ValueError, match=sentence) as problem:
-        checked(plain(config), lambda line: None)
+        checked(config, lambda line: None)
     assert "\n" not in str(problem.value)

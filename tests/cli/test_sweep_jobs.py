@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from commands import QUICK, ROOT, command, start, write_benchmark
 
-from pgrssnn_jax.cli import entry
+from pgrssnn_jax.acceleration.devices import usable_cores
 from pgrssnn_jax.training.run_folder import RunFolder, read_config
 
 # train.py with work that takes no time: seed 1 is bad input and seed 2 an exception, until FIXED is set
@@ -22,12 +22,12 @@ import hydra
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 from pgrssnn_jax.cli import entry
-from pgrssnn_jax.cli.plan import plain
-from pgrssnn_jax.cli import entry
+from pgrssnn_jax.cli.plan import plain_config
+from pgrssnn_jax.cli.process import Interrupted
 from pgrssnn_jax.training.run_folder import RunFolder
 
 def prepare(config):
-    settings, run = plain(config), RunFolder(Path(HydraConfig.get().runtime.output_dir))
+    settings, run = plain_config(config), RunFolder(Path(HydraConfig.get().runtime.output_dir))
     if settings["seed"] == 1 and "FIXED" not in os.environ:
         raise ValueError("seed: expected another one, found 1")
     def work(stop):
@@ -37,10 +37,10 @@ def prepare(config):
         if settings["seed"] == 9:
             print("waiting", flush=True)
             stop.wait(60)
-            raise entry.Interrupted("stopped")
+            raise Interrupted("stopped")
         run.write_json("metrics.json", {{"resumed": settings["resume"]}})
         run.finish()
-    return work
+    return entry.Work(run.path, work)
 
 @hydra.main(version_base="1.3", config_path={str(ROOT / "conf")!r}, config_name="train")
 def main(config):
@@ -197,4 +197,4 @@ def test_launchers_put_every_run_where_a_serial_sweep_does(tmp_path, benchmark, 
     assert "n_validation" in (bad.failure or "")
     assert np.isfinite(json.loads((good.path / "metrics.json").read_text())["summary"]["rmse_mean"])
     devices = len(json.loads((good.path / "environment.json").read_text())["devices"])
-    assert devices == max(1, entry.usable_cores() // 2)
+    assert devices == max(1, usable_cores() // 2)

@@ -2,10 +2,11 @@
 
 import io
 import itertools
+import os
 import threading
 
 import pytest
-from commands import ROOT
+from commands import ROOT, config_names
 from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hypothesis import given
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from rich.console import Console
 
-from pgrssnn_jax.cli import entry
+from pgrssnn_jax.cli import packages
+from pgrssnn_jax.cli.config_store import register
 from pgrssnn_jax.cli.resume import override
 from pgrssnn_jax.cli.sweep_jobs import launcher_env, name_sweep
 from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
@@ -201,7 +203,7 @@ def master_with(launcher: str, **settings):
 def test_workers_on_this_machine_share_its_cores(monkeypatch, config, jobs, share):
     monkeypatch.setattr("pgrssnn_jax.cli.sweep_jobs.usable_cores", lambda: 8)
     monkeypatch.delenv("JAX_NUM_CPU_DEVICES", raising=False)
-    environ = entry.os.environ
+    environ = os.environ
     before = dict(environ)
     with launcher_env(config, jobs):
         assert environ.get("JAX_NUM_CPU_DEVICES") == share
@@ -213,11 +215,11 @@ def test_workers_on_this_machine_share_its_cores(monkeypatch, config, jobs, shar
 
 
 def test_a_launcher_that_is_not_installed_is_named(monkeypatch):
-    assert entry.launcher_problem(["-m", "hydra/launcher=basic", "model=a"]) is None
-    monkeypatch.setattr(entry, "_installed", lambda name: False)
-    assert entry.launcher_problem(["-m", "model=joblib"]) is None
+    assert packages.launcher_problem(["-m", "hydra/launcher=basic", "model=a"]) is None
+    monkeypatch.setattr(packages, "_installed", lambda name: False)
+    assert packages.launcher_problem(["-m", "model=joblib"]) is None
     for name in ("joblib", "submitit_local", "submitit_slurm"):
-        problem = entry.launcher_problem(["-m", f"hydra/launcher={name}"])
+        problem = packages.launcher_problem(["-m", f"hydra/launcher={name}"])
         assert problem is not None
         assert f"hydra/launcher={name}: expected the package hydra-{name.split('_')[0]}-launcher" in problem
         assert "pgrssnn_jax[sweep]" in problem
@@ -225,6 +227,7 @@ def test_a_launcher_that_is_not_installed_is_named(monkeypatch):
 
 @pytest.mark.parametrize("experiment", TABLES)
 def test_a_table_is_a_sweep_of_known_configurations_without_a_guard(experiment):
+    register()
     base, count = TABLES[experiment]
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
         whole = compose("train", overrides=[f"+experiment={experiment}"], return_hydra_config=True)
@@ -241,7 +244,6 @@ def test_a_table_is_a_sweep_of_known_configurations_without_a_guard(experiment):
 
 
 def test_table_1_is_every_model_there_is():
-    models = sorted(path.stem for path in (ROOT / "conf/model").glob("*.yaml"))
     for experiment in (name for name in TABLES if name.startswith("table1")):
         text = OmegaConf.load(ROOT / f"conf/experiment/{experiment}.yaml").hydra.sweeper.params.model
-        assert sorted(text.replace(" ", "").split(",")) == models
+        assert sorted(text.replace(" ", "").split(",")) == config_names("model")

@@ -3,6 +3,7 @@
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -12,14 +13,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import QUICK, ROOT, called, command, composed, planned, start, trained, write_benchmark
-from pgrssnn_jax.training.finished import load_run
 
 from pgrssnn_jax.cli.resume import resume_config
+from pgrssnn_jax.reports.saved import load
 from pgrssnn_jax.training.run_folder import read_config
 
 FILES = {
-    "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "checkpoint", "figures",
-    "report.html", "DONE",
+    "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "physics.json", "checkpoint",
+    "figures", "report.html", "DONE",
 }  # fmt: skip
 
 
@@ -96,6 +97,31 @@ def test_an_interrupted_run_is_whole_and_resumes_to_the_same_numbers(tmp_path, b
         sorted(path.name for path in tmp_path.iterdir()) == ["runs", "stopped", "tanks.csv", "whole"]
         or not (tmp_path / "runs").exists()
     )
+
+
+def test_a_second_process_in_a_folder_is_told_who_is_at_work_there(tmp_path, benchmark):
+    """The first one goes on as if nothing had happened."""
+    busy = quick(benchmark, "fit.epochs=1000000", "fit.patience=1000000", "hydra.run.dir=run")
+    process = start(*busy, cwd=tmp_path)
+    try:
+        assert process.stdout is not None
+        while "epoch" not in (line := process.stdout.readline()):
+            assert line, process.communicate()
+        before = (tmp_path / "run/environment.json").read_bytes()
+        for again in (busy, ["resume=run"]):
+            code, out, err = called(*again, cwd=tmp_path)
+            assert (code, out) == (2, "")
+            who = f"found process {process.pid} on {socket.gethostname()} at work there"
+            assert err.startswith("error: ")
+            assert err.endswith(f"run: expected a run folder in which nobody writes, {who}\n")
+            assert err.count("\n") == 1
+            assert process.poll() is None
+        assert (tmp_path / "run/environment.json").read_bytes() == before
+    finally:
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 130, err
+    assert not list(tmp_path.glob(".*.lock"))
 
 
 def test_a_sweep_leaves_a_folder_per_job(tmp_path, benchmark):
@@ -245,25 +271,25 @@ def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
     with np.load(run.path / "predictions.npz") as arrays:
         u, y_hat, x0 = arrays["u"][0], arrays["y_hat"][:, 0], arrays["x0"][0, 0]
     benchmark.unlink()
-    again = load_run(run.path).simulate(u, x0)
+    again = load(run.path).simulate(u, x0)
     with pytest.raises(ValueError, match=r"simulate: x0: expected shape \(2,\), found \(3,\)"):
-        load_run(run.path).simulate(u, np.zeros(3))
+        load(run.path).simulate(u, np.zeros(3))
     np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="run folder: expected one"):
-        load_run(tmp_path)
+        load(tmp_path)
 
 
 def test_the_wrong_pinocchio_and_missing_packages_are_named(monkeypatch, tmp_path):
-    from pgrssnn_jax.cli import entry
+    from pgrssnn_jax.cli import packages
 
-    monkeypatch.setattr(entry, "_installed", lambda name: name == "pinocchio")
-    assert "unrelated package 'pinocchio'" in str(entry.package_problem())
-    monkeypatch.setattr(entry, "_installed", lambda name: True)
-    assert entry.package_problem() is None
-    monkeypatch.setattr(entry.util, "find_spec", lambda name: None if name == "flax" else True)
-    assert "expected flax, found none installed" in str(entry.package_problem())
+    monkeypatch.setattr(packages, "_installed", lambda name: name == "pinocchio")
+    assert "unrelated package 'pinocchio'" in str(packages.package_problem())
+    monkeypatch.setattr(packages, "_installed", lambda name: True)
+    assert packages.package_problem() is None
+    monkeypatch.setattr(packages.util, "find_spec", lambda name: None if name == "flax" else True)
+    assert "expected flax, found none installed" in str(packages.package_problem())
     with pytest.raises(SystemExit) as ended:
-        entry.check_packages()
+        packages.check_packages()
     assert ended.value.code == 2
     assert shutil.which("make")  # the sentence points to it
 
