@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import numpy as np
@@ -60,7 +60,7 @@ def fit(
     physics: Physics,
     train: Record,
     *,
-    recipe: Literal["experiment", "default"] | None = None,
+    recipe: str | None = None,
     seeds: int | None = None,
     seed: int = 0,
     validation: Record | None = None,
@@ -198,8 +198,8 @@ def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
         raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({len(sequences)}, {n_x}), found {np.shape(x0)}")
     with jax.enable_x64(True):
         start = np.broadcast_to(np.asarray(x0, np.float64), (len(sequences), n_x))
-        y, x = map(np.asarray, free_run(physics, sequences, start))
-    found = Trajectory(y, x, first_not_finite(x, y))
+        y, x = free_run(physics, sequences, start)
+        found = Trajectory(*map(np.asarray, (y, x, first_not_finite(x, y))))
     return found if u.ndim == 3 else Trajectory(*(a[0] for a in found))
 
 

@@ -112,9 +112,9 @@ def restored_physics(
         settings = {name: value for name, value in stored["physics"].items() if name not in ("_target_", "effects")}
         physics = call_with(build, settings, f"{folder}: physics")
         check_physics(physics, target)
-    elif source_digest(physics) != stored.get("source_sha256", source_digest(physics)):
-        warnings.warn(f"{folder}: the source of physics {physics.name!r} has changed since the run", stacklevel=3)
     _check_signals(physics, stored, folder)
+    if source_digest(physics) != stored.get("source_sha256", source_digest(physics)):
+        warnings.warn(f"{folder}: the source of physics {physics.name!r} has changed since the run", stacklevel=3)
     return physics if stored["numbers"] is None else stored_physics(physics, stored, where=str(folder), extra=effects)
 
 
