@@ -9,6 +9,7 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from rich.table import Table
 
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
-from pgrssnn_jax.discovery.setup import Start
+from pgrssnn_jax.discovery.setup import Setup, set_up
 from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.workflow import Discovery, discover_in
 from pgrssnn_jax.effects.systems import catalogue
@@ -30,16 +31,12 @@ from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.training.settings import training_settings
 
-_SETTINGS = {
-    "replace": {}, "fixed": [], "tolerance": 0.5, "stretches": [], "starts": 4,
-    "folds": 5, "block": 32, "n_init": 50, "steps": 30, "p_value": 0.01, "share": 0.02,
-    "most": 4, "draws": 2000, "seed": 0, "network_epochs": 0,
-}  # fmt: skip
-
-
-_OF_SYSTEM = {"arm": {"stretches": [60, 60], "fixed": ["B", "Tc"]}, "lgssm": {"fixed": ["B"]}}
+# The physics is integrated as it should be, records are whole, and names are what counts: no network is trained.
+_WHOLE = {"replace": {}, "stretches": [], "network_epochs": 0}
+_AS_USERS = {"network_epochs": 0}  # an arm in stretches, with what discovery changes in it
 
 
 def main() -> None:
@@ -61,17 +58,15 @@ def main() -> None:
 def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) -> dict[str, Any]:
     """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
     case = suite.build(plan)
-    physics, chosen = _nominal(case), {**_SETTINGS, **_OF_SYSTEM.get(case.system, {})}
+    setup = _set_up(case, plan.removed)
     if not problems:
-        problem = build_problem(physics, catalogue(physics), fixed=chosen["fixed"])
+        problem = build_problem(setup.physics, setup.effects, fixed=setup.settings.fixed)
         problems.append((problem, flexible_problem(problem)))
-    problem, flexible = (one.with_numbers(physics.params) for one in problems[0])
-    known = {effect.name for effect in problem.effects}
-    removed = [name for name in plan.removed if name in known]
-    settings = call_with(DiscoverySettings, {**chosen, "without": removed}, "discovery")
+    problem, flexible = (one.with_numbers(setup.physics.params) for one in problems[0])
     started = time.perf_counter()
-    start = Start.AT_REST if case.system == "arm" else Start.UNKNOWN
-    found = discover_in(problem, case.train, case.test, settings, lambda line: None, start=start, flexible=flexible)
+    found = discover_in(
+        problem, setup.estimation, setup.test, setup.settings, lambda line: None, start=setup.start, flexible=flexible
+    )
     seconds = time.perf_counter() - started
     names = list(found.found.final.estimate.active)
     return {
@@ -86,6 +81,21 @@ def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) ->
     }
 
 
+def _set_up(case: Case, removed: Sequence[str]) -> Setup:
+    """As `pg.discover` begins, from the defaults and what a benchmark leaves out."""
+    physics = _nominal(case)
+    known = {effect.name for effect in catalogue(physics)}
+    settings = DiscoverySettings(
+        **(_AS_USERS if case.system == "arm" else _WHOLE), without=[name for name in removed if name in known]
+    )
+    train, test = (_at_rest(r) if case.system == "arm" else r for r in (case.train, case.test))
+    return set_up(physics, train, test, settings, training_settings("pg_rssnn"), notify=lambda line: None)
+
+
+def _at_rest(record: Record) -> Record:
+    return record._replace(info=replace(record.info, start="rest"))
+
+
 def _by_sindy(case: Case) -> dict[str, Any]:
     """Right: a name of what is there, or none where nothing is."""
     name = compare.sindy_name(case)
@@ -94,14 +104,15 @@ def _by_sindy(case: Case) -> dict[str, Any]:
 
 
 def _nominal(case: Case) -> Physics:
-    """The physics that discovery is given: the nominal one, integrated finely enough not to be in the way."""
+    """The physics that discovery is given: the nominal one, integrated finely enough not to be in the way; an arm is
+    what users have."""
     if case.system == "tanks":
         return cascaded_tanks(**case.physics, integrator="rk4")
     if case.system == "lgssm":
         return lgssm(**case.physics)
     if case.system == "pendulum":
         return pendulum.pendulum(**case.physics)
-    return arm(**{"sub_steps": 5, "derivatives": "forward", **case.physics})
+    return arm(**case.physics)
 
 
 def _right(case: Case, kind: str, names: Sequence[str], verdict: str) -> bool:

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from timing import medians
 
-from pgrssnn_jax.cli.entry import set_up_jax
+from pgrssnn_jax.acceleration.devices import keep_compiled, use_all_cores
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.rollout import rollout
@@ -41,7 +41,8 @@ def main() -> None:
     arguments.add_argument("--json", type=Path, help="also write the figures to this file")
     arguments.add_argument("--quick", action="store_true", help="few repetitions: does it run?")
     chosen = arguments.parse_args()
-    set_up_jax()
+    use_all_cores()
+    keep_compiled()
     repeats = 3 if chosen.quick else 40
     figures = {
         "devices": [str(device) for device in jax.devices()],

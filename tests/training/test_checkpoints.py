@@ -7,7 +7,7 @@ import pytest
 from small import small_fit
 from toys import quick_jit
 
-from pgrssnn_jax.cli.entry import stop_signal
+from pgrssnn_jax.cli.process import stop_signal
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.records.scaling import Affine, Units
