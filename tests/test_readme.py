@@ -17,9 +17,9 @@ from hydra import compose, initialize_config_dir
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.cli.config_store import register
-from pgrssnn_jax.data.csv_files import write_csv
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.csv import write_csv
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, crop, record
 
 README = ROOT / "README.md"

@@ -7,9 +7,9 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from pydoc import locate
+from typing import Any, NamedTuple
 
-import hydra
 import numpy as np
 import pytest
 import yaml
@@ -59,14 +59,17 @@ def with_json(name: str, change: Callable[[dict], object]) -> Callable[[Path], N
     return set_trap
 
 
-def built_by(*groups: str) -> Callable[[Path], object]:
-    """Instantiates a group of the configuration, as Hydra's own users do."""
+def instantiated(group: dict) -> object:
+    function: Any = locate(group["_target_"])
+    return function(**{name: value for name, value in group.items() if name not in ("_target_", "effects")})
 
+
+def built_by(*groups: str) -> Callable[[Path], object]:
     def spring(run: Path) -> object:
-        node = OmegaConf.load(run / "config.yaml")
+        node = config_of(run)
         for group in groups:
             node = node[group]
-        return hydra.utils.instantiate(node)
+        return instantiated(node)
 
     return spring
 
@@ -110,7 +113,7 @@ def physics_by(target: str, **settings: str) -> Callable[[Path], None]:
 
 
 def physics_named_by(run: Path) -> object:
-    return hydra.utils.instantiate(json.loads((run / "physics.json").read_text())["physics"])
+    return instantiated(json.loads((run / "physics.json").read_text())["physics"])
 
 
 def read_array(run: Path) -> object:
@@ -151,7 +154,7 @@ TRAPS = {
         lambda run: yaml.unsafe_load((run / "config.yaml").read_text()),
     ),
     "an effect of another module": Trap(
-        effects_of_ones_own, lambda run: hydra.utils.get_object(config_of(run)["discovery"]["effects"][0])
+        effects_of_ones_own, lambda run: locate(config_of(run)["discovery"]["effects"][0])
     ),
     "pickled arrays": Trap(write_bomb_arrays, read_array),
     "a pickled checkpoint": Trap(
@@ -180,8 +183,8 @@ def folder(tmp_path, monkeypatch, harmless) -> Iterator[Path]:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "evil.py").write_text(
-        f"def strike(*_, **__):\n    open({str(tmp_path / MARK)!r}, 'a').write('struck\\n')\n"
-        "strike()\nphysics = effect = strike\n"
+        f"def strike(*_, **__):\n    with open({str(tmp_path / MARK)!r}, 'a') as file:\n"
+        "        file.write('struck\\n')\n\nstrike()\nphysics = effect = strike\n"
     )
     OmegaConf.register_new_resolver("strike", lambda: os.system(SHELL), replace=True)
     shutil.copytree(harmless, tmp_path / "runs/hostile")
@@ -243,7 +246,7 @@ def test_the_names_in_a_folder_are_text_on_the_page(folder):
 
 def test_a_module_is_imported_only_when_its_owner_trusts_it(folder):
     physics_by("evil.physics")(folder)
-    with pytest.raises(ValueError, match=r"expected the physics of one's own .* found evil.physics in the folder"):
+    with pytest.raises(ValueError, match=r"expected the physics of one's own .* found 'evil.physics' in the folder"):
         load(folder, trust=["evil_too", "evil.physics"])
     assert not Path(MARK).exists()
     code, _, err = called(f"resume={folder}", "physics._target_=evil.other", cwd=Path.cwd())

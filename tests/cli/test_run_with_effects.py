@@ -9,6 +9,7 @@ import pytest
 from commands import QUICK, called, trained, write_benchmark
 
 from pgrssnn_jax import api as pg
+from pgrssnn_jax.effects.base import effects_of
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -64,7 +65,7 @@ def test_what_happens_to_the_file_of_effects_changes_nothing_in_the_run(made, tm
         file.write_bytes(kept)
     with np.load(made / "run/predictions.npz") as arrays:
         np.testing.assert_allclose(loaded.simulate(arrays["u"], arrays["x0"][0, 0]), arrays["y_hat"], atol=1e-4)  # V
-    assert loaded.physics.params["pump_saturation"]["voltage"] == pytest.approx(3.0)
+    assert effects_of(loaded.physics.params)["pump_saturation"]["voltage"] == pytest.approx(3.0)
     assert code == 0, err
     for name in ("history.csv", "physics.json"):
         assert (run / name).read_text() == (made / "whole" / name).read_text()
@@ -82,6 +83,6 @@ def test_a_run_that_was_made_longer_remembers_the_file_it_was_made_of(made, tmp_
     assert code == 0, err
     (tmp_path / "run").rename(tmp_path / "moved")
     loaded = pg.load(tmp_path / "moved")
-    assert loaded.physics.params["pump_saturation"]["voltage"] == pytest.approx(3.0)
+    assert effects_of(loaded.physics.params)["pump_saturation"]["voltage"] == pytest.approx(3.0)
     code, _, err = called("resume=moved", "fit.epochs=5", cwd=tmp_path)
     assert code == 0, err
