@@ -16,10 +16,10 @@ test: install
 	$(BIN)/python -m pytest
 
 test-slow: install
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow --dist worksteal
 
 test-all: install
-	$(BIN)/python -m pytest -m ""
+	$(BIN)/python -m pytest -m "" --dist worksteal
 
 check: install
 	$(BIN)/ruff format --check $(SOURCES)

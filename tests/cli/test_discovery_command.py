@@ -40,7 +40,9 @@ def files(folder: Path, samples: int = 240, change=lambda u, y: None) -> list[st
 def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     pair = files(tmp_path)
     shared = "data.shared_initial_state=true"
-    code, out, err = command(*LINEAR, *pair, shared, *SHORT, "hydra.run.dir=run", cwd=tmp_path, script="discover.py")
+    network = ["discovery.network_epochs=2", "model.hidden=3"]
+    every = [*LINEAR, *pair, shared, *SHORT, *network, "hydra.run.dir=run"]
+    code, out, err = command(*every, cwd=tmp_path, script="discover.py")
     assert code == 0, err
     assert "run folder: run" in out
     run = tmp_path / "run"
@@ -56,6 +58,8 @@ def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     assert effect["parameters"]["high"]["value"] == [pytest.approx(0.8, abs=0.05)]
     assert set(said["gap"]) >= {"metric", "unit", "before", "recalibrated", "after", "floor", "closed_fraction"}
     assert said["gap"]["after"]["test"] < 0.2 * said["gap"]["recalibrated"]["test"]
+    assert said["network"]["epochs"] == 2
+    assert said["network"]["rmse_after"] < 0.2 * said["network"]["rmse_before"]
     with np.load(run / "discovery.npz") as arrays:
         measured, after = arrays["y_test"], arrays["y_after_test"]
     assert np.sqrt(np.mean((measured - after) ** 2)) == pytest.approx(said["gap"]["after"]["test"], rel=1e-3)
@@ -88,6 +92,16 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     assert effect["intervals_s"]
     assert effect["active_fraction"] == pytest.approx(above / len(rows), abs=0.01)
     assert all(row["share_of_samples"] <= 1.0 for row in said["disagreement"])
+
+
+def test_a_saturation_is_found_in_stretches_too(tmp_path):
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        config = compose("discover", [*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]"])
+    found = discover(checked(plain(config), lambda line: None), lambda line: None)
+    assert found.judged.verdict == "effect_found"
+    assert found.found.final.estimate.active == ("input_saturation",)
+    high = found.problem.params(found.found.final.estimate.theta)["input_saturation"]["high"]
+    np.testing.assert_allclose(high, 0.8, atol=0.05)
 
 
 @pytest.mark.slow

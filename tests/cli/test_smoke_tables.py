@@ -7,7 +7,6 @@ import pytest
 from commands import ROOT, command
 from omegaconf import OmegaConf
 
-pytestmark = pytest.mark.slow
 EXPERIMENTS = sorted(path.stem for path in (ROOT / "conf/experiment").glob("*.yaml") if "sweeper" in path.read_text())
 
 
@@ -22,6 +21,7 @@ def test_all_tables_and_figures_of_the_paper_are_here():
     assert len(EXPERIMENTS) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_a_table_runs_whole_within_its_smallest_budget_and_is_reported(tmp_path, experiment):
     code, out, err = command("-m", f"+experiment={experiment}", "budget=smoke", cwd=tmp_path, seconds=1500)

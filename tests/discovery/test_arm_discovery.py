@@ -17,7 +17,6 @@ from pgrssnn_jax.physics.arms.tables import ArmTables
 from pgrssnn_jax.physics.arms.urdf import read_urdf
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
-pytestmark = pytest.mark.xdist_group("arm discovery")  # one process, one compiled program
 SEQUENCES, SAMPLES, NOISE = 8, 120, 0.002  # rad
 NEUTRAL = Effects(np.zeros(2), np.zeros(2), np.ones(2), np.zeros(2))
 LINK = (

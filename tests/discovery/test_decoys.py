@@ -15,7 +15,7 @@ from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
 
-pytestmark = pytest.mark.xdist_group("decoys")  # one process, one compiled program
+pytestmark = pytest.mark.slow
 A, B, C = np.array([[0.6, 0.7], [-0.1, 0.0]]), np.array([-1.1, 0.0]), np.array([0.9, -0.1])
 INFO = RecordInfo((Channel("u"),), (Channel("y"),), 1.0, "simulated")
 NAMES = ("sensor_offset", "input_offset", "input_gain", "input_dead_zone")

@@ -18,11 +18,7 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SYSTEMS = ("tanks", "pendulum", "lgssm")
 QUIET = {"tanks": 0.005, "pendulum": 0.002, "lgssm": 0.05}
-EFFECTS = [
-    pytest.param(system, name, marks=pytest.mark.xdist_group(f"every effect of {system}"))
-    for system in SYSTEMS
-    for name in suite.catalogue(system).acts_on
-]  # one process per system, one compiled program
+EFFECTS = [(system, name) for system in SYSTEMS for name in suite.catalogue(system).acts_on]
 
 
 def physics_of(case):
@@ -63,7 +59,6 @@ def test_no_other_effect_does_better_than_the_hidden_one(system, name):
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("every effect of pendulum")
 @pytest.mark.parametrize("name", ["sensor_gain", "input_gain"])
 def test_no_other_effect_does_better_than_that_of_an_instrument(name):
     case = suite.build(Plan("pendulum", 5, "none", (), (), QUIET["pendulum"]))

@@ -87,7 +87,7 @@ def test_padding_holds_the_state_and_spoils_no_gradient(key, route):
 
     def loss(network, u, real):
         params = ModelParams(network, unstable.params, scaling)
-        found = rollout(model, params, u, jnp.zeros((1, 1)), route=route, real=real)
+        found = rollout(model, params, u, jnp.zeros((1, 1)), route=route, valid=real)
         return jnp.sum(found.y[:, :20] ** 2), found.first_bad
 
     gradient = jax.jit(jax.value_and_grad(loss, has_aux=True))

@@ -46,8 +46,7 @@ def same(a, b) -> bool:
     )
 
 
-@pytest.mark.parametrize("kind", ["first_output", "estimated"])
-@pytest.mark.parametrize("physics_parameters", ["fixed", "trained"])
+@pytest.mark.parametrize(("kind", "physics_parameters"), [("first_output", "fixed"), ("estimated", "trained")])
 def test_state_scaling_and_losses_come_back_bit_for_bit(tmp_path, opened, kind, physics_parameters):
     fit, data = small_fit(
         initial=InitialState(kind, n_init=5), settings=FitSettings(physics_parameters=physics_parameters)
@@ -83,7 +82,8 @@ def test_another_model_or_other_members_are_named(tmp_path, opened):
         opened(tmp_path).restore(saved(begun(other, other_data), other_data, no_losses(3)))
 
 
-def test_an_interrupted_and_resumed_run_ends_bit_for_bit_as_an_uninterrupted_one(tmp_path, opened):
+@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_an_interrupted_and_resumed_run_ends_bit_for_bit_as_an_uninterrupted_one(tmp_path, opened, devices):
     """Interrupted by a real signal in the middle, saved, restored into a new program, trained on."""
     import os
     import signal
@@ -92,7 +92,7 @@ def test_an_interrupted_and_resumed_run_ends_bit_for_bit_as_an_uninterrupted_one
 
     def run(state, losses, on_chunk) -> Training:
         with stop_signal() as stop:
-            return train(fit, MemberMapping("vmap", None, 2), state, data, losses, on_chunk=on_chunk, stop=stop)
+            return train(fit, MemberMapping("vmap", None, devices), state, data, losses, on_chunk=on_chunk, stop=stop)
 
     whole = run(begun(fit, data), no_losses(3), lambda *_: None)
 
