@@ -11,7 +11,7 @@ from discovery.small_cases import choices
 from pgrssnn_jax.acceleration.background import ahead, compile_look
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.look import look_at
-from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import linear

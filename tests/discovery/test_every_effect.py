@@ -10,7 +10,7 @@ from benchmarks.hidden import pendulum, suite
 from benchmarks.hidden.suite import Plan
 from pgrssnn_jax.discovery.estimate import Settings
 from pgrssnn_jax.discovery.look import Rules, look_at
-from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import linear

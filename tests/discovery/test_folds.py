@@ -6,7 +6,7 @@ from discovery.small_cases import pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Estimate, Validated
 from pgrssnn_jax.discovery.look import size_and_noise
-from pgrssnn_jax.discovery.problem import ALWAYS, Problem, build_problem
+from pgrssnn_jax.discovery.problem import ALWAYS, Problem, build_problem, weighted_signals
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Record
 

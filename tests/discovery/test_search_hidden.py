@@ -9,7 +9,7 @@ from discovery.small_cases import choices, fine_tanks, pump, tank_record
 
 from pgrssnn_jax.discovery.estimate import Settings, fit_all
 from pgrssnn_jax.discovery.look import look_at
-from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
 from pgrssnn_jax.discovery.prove import fitted_nominal
 from pgrssnn_jax.discovery.search import search
 from pgrssnn_jax.discovery.setup import Start
