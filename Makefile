@@ -24,8 +24,7 @@ test-all: install
 check: install
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
-	$(BIN)/ruff check --isolated --quiet --select F821 $(filter-out pgrssnn_jax,$(SOURCES))  # names that are nowhere
-	@if grep -q '^\[tool\.importlinter\]' pyproject.toml; then echo $(BIN)/lint-imports; $(BIN)/lint-imports; fi
+	$(BIN)/lint-imports
 	$(BIN)/pyright
 
 install: $(VENV)/.installed

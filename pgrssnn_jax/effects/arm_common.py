@@ -32,13 +32,14 @@ def an_arm(n: int | None = None, *, masses: bool = False) -> Needs:
 def per_joint(n: int, parameters: Mapping[str, Parameter], **fields: Any) -> Effect:
     """An effect with one number of each parameter per joint. A fit begins at none where the fields do not say
     otherwise: the torque is linear in the numbers."""
-    of_joints = {
+    whole: dict[str, Any] = {
+        "parameters": parameters,
         "shapes": dict.fromkeys(parameters, (n,)),
         "initial_guesses": lambda span: [{name: np.full(n, p.neutral, float) for name, p in parameters.items()}],
         "needs": an_arm(n),
         "channels": "joint",
     }
-    return Effect(**{"parameters": parameters, **of_joints, **fields})
+    return Effect(**{**whole, **fields})
 
 
 def largest(span: np.ndarray, first: int = 0) -> np.ndarray:
