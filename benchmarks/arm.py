@@ -26,6 +26,7 @@ from timing import medians
 
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
+from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.arms.tables import described, pinocchio_model

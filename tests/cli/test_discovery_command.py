@@ -95,12 +95,11 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
 
 
 def test_a_saturation_is_found_in_stretches_too(tmp_path):
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        config = compose("discover", [*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]"])
-    found = discover(checked(plain(config), lambda line: None), lambda line: None)
+    config = composed(*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]", name="discover")
+    found = discover(checked(config, lambda line: None), lambda line: None)
     assert found.judged.verdict == "effect_found"
     assert found.found.final.estimate.active == ("input_saturation",)
-    high = found.problem.params(found.found.final.estimate.theta)["input_saturation"]["high"]
+    high = found.problem.params(found.found.final.estimate.theta).effects["input_saturation"]["high"]
     np.testing.assert_allclose(high, 0.8, atol=0.05)
 
 
