@@ -14,7 +14,8 @@ from pgrssnn_jax.cli.config_store import shared_start
 from pgrssnn_jax.data.benchmarks import LOADERS, as_records, loader_settings
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import read_stored, stored_physics
-from pgrssnn_jax.physics.base import Origin, Physics, check_physics
+from pgrssnn_jax.physics.base import Origin, Physics
+from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
 from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.records.record import Record

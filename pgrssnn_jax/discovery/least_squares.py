@@ -21,13 +21,13 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.discovery.free_runs import by_start, free_run, time_first, with_derivatives
 from pgrssnn_jax.discovery.problem import Code, Problem, Signals
+from pgrssnn_jax.discovery.solve import identity_like, solve
 from pgrssnn_jax.records.record import Array
 from pgrssnn_jax.training.members import over_devices
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice
 _FEW = 4  # lanes per device: fewer take as long however they are compiled
-_TINY = 1e-13  # of a scaled diagonal
 _GIVE_UP = 1e6  # damping at which no step is left
 _PRIOR = 1e-7  # of one squared scaled error per squared relative change: decides only what the data do not
 
@@ -92,31 +92,6 @@ class StopRule(NamedTuple):
 
 def _limits(problem: Problem) -> Limits:
     return Limits(problem.low, problem.high, problem.size, problem.theta, problem.precision)
-
-
-def _solve(a: jax.Array, b: jax.Array) -> jax.Array:
-    """a⁻¹ b for symmetric positive definite a `[..., n, n]` and b `[..., n, m]`, by elimination without pivots.
-
-    A loop of plain products over the whole batch: LAPACK's batched solvers wait for threads of the pool that they run
-    in, and on two cores a scan with two of them in it never came back.
-    """
-    size = jax.lax.rsqrt(jnp.maximum(jnp.diagonal(a, axis1=-2, axis2=-1), 1e-300))
-    scaled = a * size[..., :, None] * size[..., None, :] + _TINY * _eye(a)
-    both = jnp.concatenate([scaled, size[..., None] * b], -1)
-
-    def eliminate(k: jax.Array, m: jax.Array) -> jax.Array:
-        row = jax.lax.dynamic_index_in_dim(m, k, -2)
-        row = row / jax.lax.dynamic_index_in_dim(row, k, -1)
-        rest = m - jax.lax.dynamic_index_in_dim(m, k, -1) * row
-        return jax.lax.dynamic_update_slice_in_dim(rest, row, k, -2)
-
-    return size[..., None] * jax.lax.fori_loop(0, a.shape[-1], eliminate, both)[..., a.shape[-1] :]
-
-
-def _eye(like: jax.Array) -> jax.Array:
-    """The identity with as many axes as `like` `[..., n, n]`."""
-    n = like.shape[-1]
-    return jnp.eye(n, dtype=like.dtype).reshape((1,) * (like.ndim - 2) + (n, n))
 
 
 def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -286,18 +261,18 @@ def _fit_lanes(
         starts = jnp.asarray(by_start(code))
         held = _PRIOR * n + (starts.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
         damped = (damping[None] * state.held)[..., None, None]
-        local = local + jnp.where(_eye(local) > 0, damped * local + held, 0.0)
+        local = local + jnp.where(identity_like(local) > 0, damped * local + held, 0.0)
         back_x = _PRIOR * n * (anchor_x - state.x0) + precision * (guessed - state.x0)
         back_x = jnp.einsum("xs,xql->qls", starts, back_x)
         cross = normal[..., :k, k:] * mask[None, :, :, None]
         pull_x = pull[..., k:] + back_x
-        solved = _solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
+        solved = solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
         whole = normal[..., :k, :k].sum(0) * mask[:, :, None] * mask[:, None, :]
         diagonal = jnp.diagonal(whole, axis1=-2, axis2=-1)
         extra = damping[:, None] * diagonal + jnp.where(moves, own, 1.0) + 1e-30
-        whole = whole + extra[:, :, None] * _eye(whole) - (cross @ solved[..., :-1]).sum(0)
+        whole = whole + extra[:, :, None] * identity_like(whole) - (cross @ solved[..., :-1]).sum(0)
         right = mask * (pull[..., :k].sum(0) + back) - (cross @ solved[..., -1:])[..., 0].sum(0)
-        delta = _solve(whole, right[..., None])[..., 0]
+        delta = solve(whole, right[..., None])[..., 0]
         delta_x = solved[..., -1] - (solved[..., :-1] @ delta[None, :, :, None])[..., 0]
         return jnp.concatenate([delta, jnp.swapaxes(delta_x, 0, 1).reshape(len(delta), -1)], -1)
 

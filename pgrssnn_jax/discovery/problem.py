@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.acceleration.scalars import Program, written_out
 from pgrssnn_jax.effects.base import Effect, WithEffects, add, effects_of, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
+from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.records.record import Record
 
 _MATRIX_REACH = 0.5  # of a matrix's largest entry
@@ -249,16 +250,6 @@ def carried(
 
 
 def start_guess(physics: Physics, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> Float[np.ndarray, "seq x"]:
-    """x_0 from the first measured output and the first input, by what the states resemble; otherwise zero."""
-    outputs, inputs = ([s.name for s in signals] for signals in (physics.outputs, physics.inputs))
-    rows = np.arange(len(y))
-    start = np.zeros((len(y), len(physics.states)))
-    for i, state in enumerate(physics.states):
-        if state.like is not None:
-            j = outputs.index(state.like)
-            start[:, i] = y[rows, mask[:, :, j].argmax(1), j]
-        elif state.memory_of is not None:
-            start[:, i] = u[:, 0, inputs.index(state.memory_of)]
-        if state.start is not None:
-            start[:, i] = state.start
-    return start
+    """x_0 from the first sample of every output that was measured, and the first input."""
+    first = np.take_along_axis(y, mask.argmax(1)[:, None], 1)[:, 0]
+    return np.asarray(first_output_state(physics, first, u[:, 0]))

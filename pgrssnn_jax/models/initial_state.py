@@ -14,15 +14,15 @@ it starts from its own first output, or from the least-squares estimate over its
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from pgrssnn_jax.models.model import Model, ModelParams, first_output_state
+from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.records.record import Record
 
 _PRIOR = 1e-4  # of one squared scaled error: decides only directions that n_init samples do not see
@@ -60,7 +60,9 @@ def first_output_states(model: Model, record: Record) -> Float[jax.Array, "seq x
     """x_0 from the first sample of every output that was measured, and the first input."""
     first = jnp.argmax(jnp.asarray(record.mask), axis=1, keepdims=True)
     y = jnp.take_along_axis(jnp.asarray(record.y), first, axis=1)[:, 0]
-    return jax.vmap(partial(first_output_state, model))(y, jnp.asarray(record.u)[:, 0])
+    if not model.spec.guided:  # its states have no physical meaning
+        return jnp.zeros((len(y), model.n_x), y.dtype)
+    return jnp.asarray(first_output_state(model.physics, y, jnp.asarray(record.u)[:, 0]))
 
 
 def _estimate(model: Model, params: ModelParams, record: Record, n_init: int, guess: jax.Array) -> jax.Array:

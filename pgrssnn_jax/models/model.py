@@ -12,12 +12,11 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 from flax import nnx
 
 from pgrssnn_jax.models.networks import ACTIVATIONS, Networks
 from pgrssnn_jax.models.spec import ModelSpec
-from pgrssnn_jax.physics.base import Physics, Signal
+from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.scaling import Scaling
 
 
@@ -77,24 +76,3 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
 
     graph = nnx.graphdef(nnx.eval_shape(lambda: create(jax.random.key(0))))
     return Model(spec, physics, graph, lambda key: nnx.state(create(key), nnx.Param))
-
-
-def first_output_state(model: Model, y_first: jax.Array, u_first: jax.Array) -> jax.Array:
-    """x_0 `[n_x]` from the first measured output `[n_y]` and input `[n_u]`: a state with a known start takes it, one
-    that is `like` an output or `memory_of` an input takes its value, others 0.
-
-    A black box's states have no physical meaning and start at 0.
-    """
-    outputs, inputs = ([s.name for s in signals] for signals in (model.physics.outputs, model.physics.inputs))
-    zero = jnp.zeros((), y_first.dtype)
-
-    def start(state: Signal) -> jax.Array:
-        if not model.spec.guided:
-            return zero
-        if state.start is not None:
-            return zero + state.start
-        if state.like is not None:
-            return y_first[outputs.index(state.like)]
-        return zero if state.memory_of is None else u_first[inputs.index(state.memory_of)]
-
-    return jnp.stack([start(state) for state in model.physics.states])

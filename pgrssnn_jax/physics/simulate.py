@@ -5,10 +5,30 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.base import Physics, Step
+from pgrssnn_jax.physics.base import Physics, Signal, Step
 from pgrssnn_jax.records.record import Array
+
+
+def first_output_state(
+    physics: Physics, y: Float[Array, "*lead y"], u: Float[Array, "*lead u"]
+) -> Float[Array, "*lead x"]:
+    """x_0 from the first measured outputs and the first inputs: a state with a known start takes it, one that is `like`
+    an output or `memory_of` an input takes its value, others 0. NumPy in, NumPy out; else JAX."""
+    outputs, inputs = ([s.name for s in signals] for signals in (physics.outputs, physics.inputs))
+    xp = np if isinstance(y, np.ndarray) else jnp
+    zero = xp.zeros_like(y[..., 0])
+
+    def start(state: Signal) -> Array:
+        if state.start is not None:
+            return zero + state.start
+        if state.like is not None:
+            return y[..., outputs.index(state.like)]
+        return zero if state.memory_of is None else u[..., inputs.index(state.memory_of)]
+
+    return xp.stack([start(state) for state in physics.states], axis=-1)
 
 
 @partial(jax.jit, static_argnums=0)  # compiled once for all records of one physics

@@ -15,7 +15,8 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import check_keys, read_stored, source_digest, stored_physics
-from pgrssnn_jax.physics.base import Physics, check_physics
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
 from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.records.record import Channel, RecordInfo, record

@@ -7,8 +7,9 @@ import pytest
 from discovery.small_cases import PUBLISHED, pump, tank_record
 from scipy.optimize import least_squares
 
-from pgrssnn_jax.discovery.least_squares import Lanes, _solve, fit, sensitivity, simulate
+from pgrssnn_jax.discovery.least_squares import Lanes, fit, sensitivity, simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
+from pgrssnn_jax.discovery.solve import solve
 from pgrssnn_jax.effects.systems import add_effect, catalogue
 from pgrssnn_jax.physics.base import Parameter
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -179,7 +180,7 @@ def test_solve_is_that_of_lapack(n):
     half = draw.normal(size=(5, 3, n, 2 * n))
     a = half @ np.swapaxes(half, -1, -2) * (scale := 10.0 ** draw.uniform(-4, 4, n)) * scale[:, None]
     b = draw.normal(size=(5, 3, n, 4)) * scale[:, None]
-    np.testing.assert_allclose(jax.jit(_solve)(jnp.asarray(a), jnp.asarray(b)), np.linalg.solve(a, b), rtol=1e-6)
+    np.testing.assert_allclose(jax.jit(solve)(jnp.asarray(a), jnp.asarray(b)), np.linalg.solve(a, b), rtol=1e-6)
 
 
 def test_problem_places_every_number(problem):

@@ -14,7 +14,8 @@ from pgrssnn_jax.effects.arm import arm_effects
 from pgrssnn_jax.effects.base import Effect, SignalRange, add
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
-from pgrssnn_jax.physics.base import Physics, check_physics
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.check import check_physics
 
 pytestmark = pytest.mark.usefixtures("x64")
 KUKA = described("kuka_kr300")

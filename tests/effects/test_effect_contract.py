@@ -10,7 +10,8 @@ from toys import quick_jit, toy_physics
 
 from pgrssnn_jax.effects.base import Effect, SignalRange, add
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, check_physics, continuous
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
+from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 

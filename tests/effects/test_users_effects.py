@@ -11,7 +11,8 @@ import pgrssnn_jax.effects as effects
 from pgrssnn_jax.effects import Effect, Needs, add, add_effect, after_step, catalogue
 from pgrssnn_jax.effects.base import SignalRange, WithEffects
 from pgrssnn_jax.physics.arms.build import arm
-from pgrssnn_jax.physics.base import Parameter, check_physics
+from pgrssnn_jax.physics.base import Parameter
+from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 pytestmark = pytest.mark.usefixtures("x64")

@@ -16,7 +16,7 @@ from toys import (
     toy_signals,
 )
 
-from pgrssnn_jax.models.model import ModelParams, build_model, first_output_state
+from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.scaling import fit_scaling, model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
@@ -151,8 +151,10 @@ def test_scaling_of_a_black_box_leaves_its_states_alone():
 
 
 def test_states_like_an_output_start_at_its_first_value():
-    y = jnp.array([2.5, -1.0])
-    np.testing.assert_array_equal(first_output_state(toy_model(spec("PG-RSSNN")), y, y), [2.5, 0.0, 0.0])
-    np.testing.assert_array_equal(first_output_state(toy_model(spec("RSSNN")), y, y), [0.0, 0.0, 0.0])
-    tanks = build_model(ModelSpec(networks=False), cascaded_tanks())
-    np.testing.assert_array_equal(first_output_state(tanks, y[:1], y[:1]), [2.5, 2.5])
+    one = small_record(np.array([[2.5, -1.0]]), np.array([[2.5, -1.0]]))
+    guided, black_box = (toy_model(spec(name)) for name in ("PG-RSSNN", "RSSNN"))
+    np.testing.assert_array_equal(first_output_states(guided, one), [[2.5, 0.0, 0.0]])
+    np.testing.assert_array_equal(first_output_states(black_box, one), [[0.0, 0.0, 0.0]])
+    y = np.array([[2.5]])
+    np.testing.assert_array_equal(first_output_state(cascaded_tanks(), y, y), [[2.5, 2.5]])
+    np.testing.assert_array_equal(first_output_state(cascaded_tanks(), jnp.asarray(y), jnp.asarray(y)), [[2.5, 2.5]])

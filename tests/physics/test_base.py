@@ -3,7 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pgrssnn_jax.physics.base import Parameter, Signal, check_physics, continuous, discrete, is_parameter
+from pgrssnn_jax.physics.base import Parameter, Signal, continuous, discrete, is_parameter
+from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 

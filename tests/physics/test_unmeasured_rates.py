@@ -7,10 +7,12 @@ from toys import small_record
 
 from pgrssnn_jax.discovery.problem import build_problem, start_guess
 from pgrssnn_jax.discovery.stretches import stretches
-from pgrssnn_jax.models.model import build_model, first_output_state
+from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.scaling import fit_scaling
 from pgrssnn_jax.models.spec import ModelSpec
-from pgrssnn_jax.physics.base import Physics, Signal, check_physics, continuous, measured_rate
+from pgrssnn_jax.physics.base import Physics, Signal, continuous, measured_rate
+from pgrssnn_jax.physics.check import check_physics
+from pgrssnn_jax.physics.simulate import first_output_state
 
 K, C, M, DT = 4.0, 0.3, (1.0, 2.0), 0.1
 
@@ -78,7 +80,7 @@ def test_what_is_not_measured_is_scaled_by_a_simulation():
 def test_it_starts_at_zero():
     physics = two_masses()
     model = build_model(ModelSpec(guided=True, networks=False), physics)
-    first = first_output_state(model, jnp.asarray(RECORD.y[0, 0]), jnp.asarray(RECORD.u[0, 0]))
+    first = first_output_state(model.physics, jnp.asarray(RECORD.y[0, 0]), jnp.asarray(RECORD.u[0, 0]))
     np.testing.assert_allclose(first, [RECORD.y[0, 0, 0], 0.0, 0.0, 0.0])
     start = start_guess(physics, np.asarray(RECORD.u), np.asarray(RECORD.y), np.asarray(RECORD.mask))
     np.testing.assert_allclose(start, [[RECORD.y[0, 0, 0], 0.0, 0.0, 0.0]])

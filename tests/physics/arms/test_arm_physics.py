@@ -9,7 +9,7 @@ from arm_samples import DISTURBED, KUKA, OBLIQUE, THETA, S, published, slope_by_
 from toys import quick_jit
 
 from pgrssnn_jax.physics.arms.build import arm
-from pgrssnn_jax.physics.base import check_physics
+from pgrssnn_jax.physics.check import check_physics
 
 FREE = {"coulomb_friction": 0.0, "limits": False}
 TORQUE = np.array([1.0, 5.0, 3.5, 0.8, 0.7, 0.7])
