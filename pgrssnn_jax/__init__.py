@@ -6,6 +6,7 @@ The names of `api.py`, and the rooms `physics` and `effects`, are loaded when th
 import contextlib
 import os
 import sys
+import types
 import warnings
 from importlib import import_module, metadata
 from typing import TYPE_CHECKING, Any
@@ -74,6 +75,19 @@ def __getattr__(name: str) -> Any:
     if name in ("physics", "effects"):
         return import_module(f"pgrssnn_jax.{name}")
     return getattr(import_module(f"pgrssnn_jax.{_LIGHT.get(name, 'api')}"), name)
+
+
+class _Finished(types.ModuleType):
+    """`pgrssnn_jax.finished` of version 0.1."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name != "load_run":
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        warnings.warn("pgrssnn_jax.finished.load_run is now called pgrssnn_jax.load", FutureWarning, stacklevel=2)
+        return __getattr__("load")
+
+
+sys.modules[f"{__name__}.finished"] = _Finished(f"{__name__}.finished")
 
 
 def __dir__() -> list[str]:

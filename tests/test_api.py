@@ -358,6 +358,9 @@ def test_old_spellings_are_taken_with_one_warning(tanks, benchmark):
         )
     assert len(said) == 1
     assert old.output_timing == "before_step"
+    with pytest.warns(FutureWarning, match=r"pgrssnn_jax\.load"):
+        from pgrssnn_jax.finished import load_run
+    assert load_run is pg.load
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pg.fit("pg_rssnn", tanks, benchmark[0], guard="rollback", **{**QUICK, "epochs": 0})

@@ -16,11 +16,13 @@ from toys import (
     toy_signals,
 )
 
+from pgrssnn_jax.models.initial_state import first_output_states
 from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.scaling import fit_scaling, model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.linear import lgssm
+from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 DRAW = np.random.default_rng(5)
