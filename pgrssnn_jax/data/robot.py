@@ -4,8 +4,8 @@
     load_robot_simulated   60, 6 and 6 sequences of 606 samples, 10 Hz; every realisation is a dataset, all share u
 
 Every sequence starts at rest at q = 0. Where neither a file nor, for the measured arm, a download can be had, an arm
-is simulated with the unknown effects of the published one (`arm_simulator.py`); position noise 0.1 rad, or, in place of the
-measured arm, an encoder's 1e-4 rad.
+is simulated with the unknown effects of the published one (`arm_simulator.py`); position noise 0.1 rad, or, in place of
+the measured arm, an encoder's 1e-4 rad.
 Source: Weigand, Götz, Ulmen, Ruskowski, industrial robot identification benchmark; Li, Seth, Kok, IFAC 2026.
 """
 
