@@ -123,9 +123,10 @@ def test_every_number_of_a_discovery_has_its_unit_or_source():
 
 
 @pytest.mark.parametrize("loader", LOADERS)
-def test_every_argument_of_a_loader_is_explained(loader):
+def test_every_number_of_a_loader_is_explained(loader):
     said = f"{inspect.getdoc(LOADERS[loader])} {inspect.getdoc(inspect.getmodule(LOADERS[loader]))}"
-    for name in loader_settings(loader):
+    numbers = [name for name, value in loader_settings(loader).items() if type(value) in (int, float)]
+    for name in numbers:
         assert re.search(rf"\b{name}\b", said), name
 
 

@@ -160,14 +160,15 @@ def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, run, a
         (["model.activation=tanh"], "model.activation: expected relu | sigmoid, found 'tanh'"),
         (["model.hidden=0"], "model: hidden and gru_layers: expected at least 1"),
         (["model.guided=false", "model.networks=false"], "expected at least one of them to be true"),
-        (["initial_state=guessed"], "initial_state.kind: expected zero | scaled_zero | first_output | estimated"),
+        (["initial_state=guessed"], "initial_state: expected zero | scaled_zero | first_output | estimated"),
         (["initial_state=estimated", "n_init=0"], "n_init: expected at least 1 sample"),
         (["initial_state=estimated", "n_init=4000"], "n_init: expected fewer than"),
         (["n_seeds=0"], "n_seeds: expected 1 to 1000000, found 0"),
         (["seed=-1"], "seed: expected 0 to 2147483647, found -1"),
         (["report_n_init=[]"], "report_n_init: expected a count below the 160 samples"),
         (["report_n_init=[2000]"], "report_n_init: expected a count below the 160 samples"),
-        (["report_n_init=many"], "report_n_init: expected a list of sample counts"),
+        (["report_n_init=many"], "report_n_init: expected a list, found 'many'"),
+        (["report_n_init=[many]"], "report_n_init: expected a list of sample counts like [0, 5, 50], found ['many']"),
         (["+foo=bar"], "configuration: expected the keys"),
         (["seed=99999999999999999999"], "seed: expected 0 to"),
         (["fit.clip_norm=-1"], "fit: clip_norm: expected a positive number, found -1"),
@@ -180,7 +181,7 @@ def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, run, a
         (["physics.dt=fast"], "physics.dt: expected float, found 'fast'"),
         (["physics.dt=-4"], "dt: expected a positive sample time"),
         (["members.devices=99"], "members: devices: expected 1 to 2, found 99"),
-        (["members.how=threads"], "members.how: expected vmap | loop, found 'threads'"),
+        (["members.how=threads"], "members.how: expected auto | vmap | loop, found 'threads'"),
         (["data.n_train=0"], "n_train"),
         (["data.n_validation=160"], "n_validation"),
     ],
@@ -272,7 +273,7 @@ def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
         u, y_hat, x0 = arrays["u"][0], arrays["y_hat"][:, 0], arrays["x0"][0, 0]
     benchmark.unlink()
     again = load(run.path).simulate(u, x0)
-    with pytest.raises(ValueError, match=r"simulate: x0: expected shape \(2,\), found \(3,\)"):
+    with pytest.raises(ValueError, match=r"simulate: x0: expected shape \(2,\) or \(1, 2\), found \(3,\)"):
         load(run.path).simulate(u, np.zeros(3))
     np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="run folder: expected one"):
