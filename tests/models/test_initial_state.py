@@ -101,9 +101,13 @@ def test_a_shared_start_is_the_training_records(kind):
     one = select(data, 0)
     theta = fit.objective.begin(jax.random.key(0), one)
     test = one.validation
-    start = fit.objective.test_state(theta, one, test)
+    trained = fit.objective.trained_start(theta, one)
+    start = fit.objective.test_state(theta, one.scaling, trained, test)
+    np.testing.assert_array_equal(start, trained[None])
     np.testing.assert_allclose(start, np.full((1, 2), one.train.y[0, 0, 0]), rtol=1e-5)
-    own = build_objective(fit.objective.model, InitialState(kind, n_init=10)).test_state(theta, one, test)
+    own = build_objective(fit.objective.model, InitialState(kind, n_init=10)).test_state(
+        theta, one.scaling, trained, test
+    )
     assert not np.allclose(own, start, atol=1e-3)
 
 
@@ -132,7 +136,8 @@ def test_a_validation_record_goes_on_from_the_training_record():
     cut = one._replace(train=crop(whole, 0, 48), validation=crop(whole, 48, 80))
     theta = fit.objective.begin(jax.random.key(0), cut)
     params = fit.objective.assemble(theta, cut.scaling)
-    expected = rollout(fit.objective.model, params, whole.u, fit.objective.test_state(theta, cut, cut.validation))
+    start = fit.objective.test_state(theta, cut.scaling, fit.objective.trained_start(theta, cut), cut.validation)
+    expected = rollout(fit.objective.model, params, whole.u, start)
     found = fit.objective.validate(theta, cut)
     np.testing.assert_allclose(found.y, expected.y[:, 48:], rtol=1e-6)
     assert found.first_bad == 32
