@@ -256,3 +256,24 @@ def test_a_module_is_imported_only_when_its_owner_trusts_it(folder):
     with pytest.raises(ValueError, match="evil"):
         load(folder, trust=["evil"])
     assert Path(MARK).exists()
+
+
+DAMAGES = {
+    "broken YAML": lambda run: (run / "config.yaml").write_text("a: [1"),
+    "an empty configuration": lambda run: (run / "config.yaml").write_text(""),
+    "a configuration without data": with_config(lambda c: c.pop("data")),
+    "a configuration without settings": with_config(lambda c: c.pop("fit")),
+    "a text in place of settings": with_config(lambda c: c.update(fit="fast")),
+    "a configuration that is no text": lambda run: (run / "config.yaml").write_bytes(b"\xff\xfe\x00"),
+    "members that are none": with_json("metrics.json", lambda m: m.update(members=[1])),
+    "half a physics": lambda run: (run / "physics.json").write_text("{}"),
+    "no checkpoint": lambda run: shutil.rmtree(run / "checkpoint"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_folder_is_one_sentence_that_names_it(folder, name):
+    DAMAGES[name](folder)
+    with pytest.raises(ValueError, match=r"runs/hostile") as problem:
+        load(folder)
+    assert "\n" not in str(problem.value)

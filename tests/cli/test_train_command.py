@@ -168,7 +168,7 @@ def test_bad_input_ends_with_2_one_sentence_and_nothing_written(tmp_path, run, a
         (["report_n_init=[]"], "report_n_init: expected a count below the 160 samples"),
         (["report_n_init=[2000]"], "report_n_init: expected a count below the 160 samples"),
         (["report_n_init=many"], "report_n_init: expected a list, found 'many'"),
-        (["report_n_init=[many]"], "report_n_init: expected a list of sample counts like [0, 5, 50], found ['many']"),
+        (["report_n_init=[-1]"], "report_n_init: expected a list of sample counts like [0, 5, 50], found [-1]"),
         (["+foo=bar"], "configuration: expected the keys"),
         (["seed=99999999999999999999"], "seed: expected 0 to"),
         (["fit.clip_norm=-1"], "fit: clip_norm: expected a positive number, found -1"),
