@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import QUICK, called, trained, write_benchmark
+from commands import QUICK, called, composed, trained, write_benchmark
 
 from pgrssnn_jax import api as pg
+from pgrssnn_jax.cli.sweeps import JobProgress, job_status
 from pgrssnn_jax.effects.base import effects_of
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.physics.tanks import cascaded_tanks
+from pgrssnn_jax.training.run_folder import RunFolder
 
 LONGER = "fit.epochs=4"
 
@@ -86,3 +88,11 @@ def test_a_run_that_was_made_longer_remembers_the_file_it_was_made_of(made, tmp_
     assert effects_of(loaded.physics.params)["pump_saturation"]["voltage"] == pytest.approx(3.0)
     code, _, err = called("resume=moved", "fit.epochs=5", cwd=tmp_path)
     assert code == 0, err
+
+
+def test_a_job_of_a_sweep_that_was_gone_on_with_is_still_that_job(made, tmp_path):
+    """Else the next start of the sweep takes its finished run for another one."""
+    shutil.copytree(made / "run", tmp_path / "run")
+    code, _, err = called("resume=run", cwd=tmp_path)
+    assert code == 0, err
+    assert job_status(RunFolder(tmp_path / "run"), composed(*arguments(made))) is JobProgress.FINISHED
