@@ -84,6 +84,9 @@ def _word(value: Any) -> str:
 
 def shared_start(data: Mapping[str, Any], initial_state: str) -> Any:
     """`RecordInfo.start` of the records of a configuration."""
-    if data.get("shared_initial_state"):
+    shared = data.get("shared_initial_state", False)
+    if not isinstance(shared, bool):
+        raise ValueError(f"data.shared_initial_state: expected true or false, found {shared!r}")
+    if shared:
         return "shared"
     return "rest" if initial_state == "zero" else "unknown"

@@ -50,7 +50,7 @@ def resumed_physics(config: Mapping[str, Any], asked: Mapping[str, Any], folder:
 
     Raises `ValueError` for an own physics that the command line does not name.
     """
-    target = str(config["physics"]["_target_"])
+    target = str(config["physics"].get("_target_"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         known = library_builder(target) is not None

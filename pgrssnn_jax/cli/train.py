@@ -46,10 +46,10 @@ def prepare_training(config: DictConfig) -> Work:
             folder = Path(str(config.resume))
             asked = incomplete_config(config)
             settings = resume_config(asked, read_config(folder), hydra.overrides.task, folder)
-            settings = resumed_physics(settings, asked, folder)
+            built = resumed_physics(settings, asked, folder)
         else:
-            settings = plain_config(config)
-        experiment, plan = plan_command(settings, notify=console.print)
+            built = settings = plain_config(config)
+        experiment, plan = plan_command(built, notify=console.print)
         run = RunFolder(folder)
         first = resumed(plan, run, experiment.test) if settings["resume"] else None
     finally:

@@ -53,9 +53,10 @@ def load_cascaded_tank(
     """The three records, each `[1, 1, time, 1]`; `info` says where they come from.
 
     path: the file; None looks in PGRSSNN_DATA, then downloads, then simulates a plant. n_train: samples from the front,
-    None: all that are not for validation. generated: simulate in any case. seed: of the simulated plant. notify: takes
-    one line about each source that was passed over. timeout: s that a download may take. Raises `ValueError` for a
-    bad file, for another sample time than that of `physics`, and for more samples than there are.
+    None: all that are not for validation; n_validation: samples at the end of the estimation record. generated:
+    simulate in any case. seed: of the simulated plant. notify: takes one line about each source that was passed over.
+    timeout: s that a download may take. Raises `ValueError` for a bad file, for another sample time than that of
+    `physics`, and for more samples than there are.
     """
     if generated and path is not None:
         raise ValueError("data.generated: expected false where data.path names a file, found true")

@@ -60,11 +60,7 @@ def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, e
         if name in physics.settings and name not in OF_TRAINING and value != plain(physics.settings[name])
     }
     base = physics.variant(**{name: value for name, value in wanted.items() if not callable(physics.settings[name])})
-    parameters = stored["numbers"]["parameters"]
-    if sorted(parameters) != sorted(base.params):
-        raise ValueError(f"{where}: expected parameters {sorted(base.params)}, found {sorted(parameters)}")
-    own = {name: _shaped(like, parameters[name], where, name) for name, like in base.params.items()}
-    base = base._replace(params=own)
+    base = base._replace(params=_like(base.params, stored["numbers"]["parameters"], where))
     effects = stored["numbers"]["effects"]
     if "verdict" in stored:  # a discovery lists its effects as they were found
         effects = {name: effects[name] for name in in_catalogue_order(base, effects)}
@@ -126,11 +122,26 @@ def _named(signals: Sequence[Signal]) -> list[list[str]]:
     return [[signal.name, signal.unit] for signal in signals]
 
 
+def _like(params: Any, found: Any, where: str, name: str = "parameters") -> Any:
+    """Numbers of a file in the tree of the physics' params."""
+    if isinstance(params, list | tuple) and isinstance(found, list) and len(found) == len(params):
+        return type(params)(_like(one, other, where, name) for one, other in zip(params, found, strict=True))
+    if not isinstance(params, Mapping):
+        return _shaped(params, found, where, name)
+    if not isinstance(found, Mapping) or sorted(found) != sorted(params):
+        there = sorted(found) if isinstance(found, Mapping) else found
+        raise ValueError(f"{where}: expected {name} {sorted(params)}, found {there}")
+    return {key: _like(params[key], found[key], where, key) for key in params}
+
+
 def _shaped(like: Any, value: Any, where: str, name: str) -> np.ndarray:
+    """None stands for an infinite number, which is then that of the physics itself."""
     try:
-        found = np.asarray(value, np.float64)
+        given = np.asarray(value, object)
+        absent = np.reshape([number is None for number in given.flat], given.shape)
+        found = np.where(absent, like, given).astype(np.float64)
     except (TypeError, ValueError):
         found = np.empty(0)
-    if found.shape != np.shape(like):
+    if found.shape != np.shape(like) or np.isnan(found).any():
         raise ValueError(f"{where}: {name}: expected numbers of shape {np.shape(like)}, found {value!r}")
     return found

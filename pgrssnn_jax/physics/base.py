@@ -134,7 +134,9 @@ class Physics(NamedTuple):
         params = _kept(self.params, before.params, after.params)
         settings = {**self.settings, **changes}
         origin = self.origin._replace(settings=settings)
-        return after._replace(params=params, origin=origin, discovered=self.discovered)
+        begun = {state.name: state.start for state in self.states}
+        states = tuple(s._replace(start=begun.get(s.name, s.start)) for s in after.states)
+        return after._replace(params=params, states=states, origin=origin, discovered=self.discovered)
 
 
 def _kept(present: Params, before: Params, after: Params) -> Params:

@@ -1,6 +1,7 @@
 """A record from arrays in memory."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,8 +11,8 @@ _STARTS = ("unknown", "rest", "shared")
 
 
 def record_from(
-    u: Array | Sequence[Array],
-    y: Array | Sequence[Array],
+    u: Array | Sequence[Array] | Sequence[float],
+    y: Array | Sequence[Array] | Sequence[float],
     *,
     dt: float,
     inputs: Mapping[str, str],
@@ -37,7 +38,9 @@ def record_from(
     us, ys = _sequences("u", u, len(inputs)), _sequences("y", y, len(outputs))
     masks = [np.isfinite(one) for one in ys] if mask is None else _sequences("mask", mask, len(outputs))
     lengths = [[len(one) for one in part] for part in (us, ys, masks)]
-    if not lengths[0] == lengths[1] == lengths[2]:
+    if lengths[2] != lengths[1]:
+        raise ValueError(f"record: mask: expected sequences of the lengths of y, {lengths[1]}, found {lengths[2]}")
+    if lengths[0] != lengths[1]:
         raise ValueError(f"record: u and y: expected sequences of equal lengths, found {lengths[0]} and {lengths[1]}")
     longest = max(lengths[0])
     measured = [m.astype(bool) & np.isfinite(one) for m, one in zip(masks, ys, strict=True)]
@@ -48,7 +51,7 @@ def record_from(
     return record(u, y, info, np.stack([_padded(one, longest, False) for one in measured]))
 
 
-def _sequences(name: str, signal: Array | Sequence[Array], channels: int) -> list[np.ndarray]:
+def _sequences(name: str, signal: Any, channels: int) -> list[np.ndarray]:
     """Sequences `[time, channel]`; a single channel may come without its axis."""
     parts = [np.asarray(one) for one in signal] if isinstance(signal, list | tuple) else np.asarray(signal)
     if isinstance(parts, np.ndarray):

@@ -45,7 +45,7 @@ def _parsed(unit: str) -> tuple[float, dict[str, Fraction]] | None:
     factor, powers = 1.0, dict[str, Fraction]()
     for position, part in enumerate(unit.split("/")):
         sign = 1 if position == 0 else -1
-        for word in re.split(r"[\s·*](?!\*)", part.strip()):
+        for word in re.split(r"(?:\s|·|(?<!\*)\*(?!\*))+", part.strip()):
             match = _TOKEN.fullmatch(word)
             known = match and _symbol(match["symbol"])
             if not match or not known:

@@ -4,7 +4,6 @@ Nothing that came with a folder is executed: its physics is built by the package
 """
 
 import importlib
-import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -55,15 +54,22 @@ def load(
     stored = stored_in(run, config)
     chosen = restored_physics(stored, run.path, physics=physics, trust=trust, effects=effects)
     settings = settings_from_config(config)
-    fit = plan_fit(chosen, settings, shared=bool(config["data"].get("shared_initial_state")))
+    shared = config["data"].get("shared_initial_state", False)
+    if not isinstance(shared, bool):
+        raise ValueError(f"{folder}: data.shared_initial_state: expected true or false, found {shared!r}")
+    fit = plan_fit(chosen, settings, shared=shared)
     checkpoints = CheckpointFolder(run.checkpoint, create=False)
     found = checkpoints.restore(_structure(fit), any_shape=True)
     checkpoints.close()
-    metrics = _json(run.path / "metrics.json")
+    metrics = run.read_json("metrics.json")
     arrays = run.read_arrays("predictions.npz")
     count = len(found.state.epoch)
     rows = metrics.get("members") or [{"seed": settings.run.seed + i, "dataset": 0} for i in range(count)]
-    members = [Member(row["seed"], row["dataset"]) for row in rows]
+    if len(rows) != count or not all(isinstance(row, dict) and {"seed", "dataset"} <= row.keys() for row in rows):
+        raise ValueError(
+            f"{folder}: metrics.json: members: expected seed and dataset of {count} members, found {rows!r:.80}"
+        )
+    members = [Member(int(row["seed"]), int(row["dataset"])) for row in rows]
     start = arrays.get("x0_train", arrays["x0"][:, 0] if "x0" in arrays and fit.objective.initial.shared else None)
     if start is None:
         start = np.full((count, len(chosen.states)), np.nan)
@@ -80,7 +86,7 @@ def stored_in(run: RunFolder, config: Mapping[str, Any]) -> dict[str, Any]:
     """The folder's `physics.json`; for a run of before there was one, what its configuration says."""
     path = run.path / "physics.json"
     if path.is_file():
-        found = _json(path)
+        found = run.read_json(path.name)
         check_keys(found, str(path))
         return found
     settings = {name: value for name, value in config["physics"].items() if name != "effects"}
@@ -130,16 +136,6 @@ def _check_signals(physics: Physics, stored: Mapping[str, Any], folder: Path) ->
         found = [[s.name, s.unit] for s in getattr(physics, kind)]
         if found != expected[: len(found)] or (kind != "states" and len(found) != len(expected)):
             raise ValueError(f"{folder}: physics: {kind}: expected {expected}, found {found}")
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    except ValueError as problem:
-        raise ValueError(f"{path}: expected a JSON file, found {problem}") from None
-    if not isinstance(found, dict):
-        raise ValueError(f"{path}: expected named values, found {type(found).__name__}")
-    return found
 
 
 def _structure(fit: Fit) -> Checkpoint:

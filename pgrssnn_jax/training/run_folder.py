@@ -22,8 +22,11 @@ from typing import Any
 import jax
 import numpy as np
 import pandas as pd
+import yaml
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
+_GROUPS = ("physics", "data")  # of every configuration
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
 
 
@@ -87,11 +90,11 @@ class RunFolder:
 
     def choices(self) -> dict[str, str | None]:
         """The names of the configuration's files, as the run began with them; empty where none are on record."""
-        return json.loads((self.path / "environment.json").read_text(encoding="utf-8")).get("choices", {})
+        return self.read_json("environment.json").get("choices") or {}
 
     def check_data(self, data: Mapping[str, str]) -> None:
         """Raises `ValueError` when the run in this folder was made from other data than `data`."""
-        before = json.loads((self.path / "environment.json").read_text(encoding="utf-8")).get("data")
+        before = self.read_json("environment.json").get("data")
         if before != dict(data):
             raise ValueError(f"resume: data: expected {before} as the run began with, found {dict(data)}")
 
@@ -110,6 +113,17 @@ class RunFolder:
                 np.savez_compressed(file, allow_pickle=False, **arrays)
 
         self._replace(name, write)
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """The named values of a file, none where there is no file. Raises `ValueError` for a damaged one."""
+        path = self.path / name
+        try:
+            found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+        except (OSError, ValueError) as problem:
+            raise ValueError(f"{path}: expected a JSON file, found {problem}") from None
+        if not isinstance(found, dict):
+            raise ValueError(f"{path}: expected named values, found {type(found).__name__}")
+        return found
 
     def read_arrays(self, name: str) -> dict[str, np.ndarray]:
         """The arrays of a file, none where there is no file; nothing in it is executed."""
@@ -200,9 +214,16 @@ def read_config(folder: Path) -> dict[str, Any]:
     path = folder / "config.yaml"
     if not path.is_file():
         raise ValueError(f"run folder: expected one with a config.yaml, found none in {str(folder)!r}")
-    found = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    try:
+        found = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (yaml.YAMLError, OmegaConfBaseException, UnicodeDecodeError, AssertionError, OSError) as problem:
+        reason = (str(problem).splitlines() or [type(problem).__name__])[0]
+        raise ValueError(f"{path}: expected the configuration of a run, found {reason}") from None
     if not isinstance(found, dict):
         raise ValueError(f"{path}: expected groups of named values, found {type(found).__name__}")
+    for group in _GROUPS:
+        if not isinstance(found.get(group), dict):
+            raise ValueError(f"{path}: {group}: expected a group of named values, found {found.get(group)!r}")
     return {str(key): value for key, value in found.items()}
 
 

@@ -40,7 +40,9 @@ def locked(folder: Path) -> Iterator[None]:
     path = _lock_of(folder)
     file = -1 if fcntl is None else _taken(path)
     if fcntl is not None and file < 0:
-        holder = path.read_text(encoding="utf-8").strip() or "another process"
+        holder = "another process"
+        with suppress(OSError):  # it may have ended in the meantime
+            holder = path.read_text(encoding="utf-8").strip() or holder
         raise ValueError(f"{folder}: expected a run folder in which nobody writes, found {holder} at work there")
     try:
         yield

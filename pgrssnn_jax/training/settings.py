@@ -5,7 +5,7 @@ Source of the published values: Li, Seth, Kok, IFAC 2026, and the authors' relea
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, NamedTuple
 
@@ -67,7 +67,7 @@ class RunSettings:
     initial_state: InitialStateKind = "first_output"  # published: zero; see `models/initial_state.py`
     n_init: int = 50  # samples from which initial_state=estimated finds the start of a record
     accelerate: bool = True  # False: without the tricks of `pgrssnn_jax.acceleration`, slower, equal results
-    report_n_init: Sequence[int] = (0, 5, 50)  # samples left out of the test record's start; first: main figure
+    report_n_init: Any = (0, 5, 50)  # samples left out of the test record's start; first: main figure
 
     def __post_init__(self) -> None:
         for name, least, most in (("seed", 0, 2**31 - 1), ("n_seeds", 1, 10**6)):
@@ -138,6 +138,9 @@ def training_settings(model: str | ModelSpec, *changes: Mapping[str, Any]) -> Tr
 def settings_from_config(config: Mapping[str, Any]) -> TrainingSettings:
     """The settings of a configuration, in which those of a run stand at the top level and those of data beside the
     arguments of the loader. Old spellings are taken with a warning. Raises `ValueError` as `training_settings`."""
+    for group in ("model", "fit", "data", "members"):
+        if not isinstance(config.get(group), Mapping):
+            raise ValueError(f"configuration: {group}: expected a group of named values, found {config.get(group)!r}")
     given = {
         "model": {key: value for key, value in config["model"].items() if key != "name"},
         "fit": dict(config["fit"]),
@@ -150,7 +153,7 @@ def settings_from_config(config: Mapping[str, Any]) -> TrainingSettings:
     if given["fit"].get("guard") == "retreat":
         warnings.warn("fit.guard: 'retreat' is now called 'rollback'", FutureWarning, stacklevel=2)
         given["fit"]["guard"] = "rollback"
-    return _checked(str(config["model"]["name"]), given)
+    return _checked(str(config["model"].get("name", "custom")), given)
 
 
 def settings_to_config(settings: TrainingSettings) -> dict[str, Any]:

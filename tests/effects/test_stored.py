@@ -258,7 +258,6 @@ def test_another_size_of_matrix_is_refused():
         stored_physics(lgssm(), stored, where="here")
 
 
-@pytest.mark.xfail(reason="effects/stored.py reads null of a physics' own number as NaN", strict=False)
 def test_an_own_limit_that_is_not_there_comes_back():
     physics = discrete(
         "d", lambda p, x, u: jnp.minimum(x + u, p["most"]), lambda p, x, u: x, {"most": np.inf}, dt=1.0, **SIGNALS
@@ -266,7 +265,6 @@ def test_an_own_limit_that_is_not_there_comes_back():
     assert_same(there_and_back(physics, physics), physics)
 
 
-@pytest.mark.xfail(reason="effects/stored.py reads flat parameters only", strict=False)
 def test_a_nested_tree_of_numbers_comes_back():
     params = {"rate": 0.5, "more": {"list": [1.0, np.ones(3)]}}
     physics = discrete("d", decay, lambda p, x, u: x, params, dt=1.0, **SIGNALS)

@@ -177,9 +177,6 @@ def known_start() -> Physics:
     return stored_physics(cascaded_tanks(), stored, where="here")
 
 
-@pytest.mark.xfail(
-    reason="Physics.variant rebuilds the states and forgets the starts of a stored physics", strict=False
-)
 def test_a_start_that_was_found_stays():
     physics = known_start()
     assert [state.start for state in physics.states] == [3.0, 2.5]

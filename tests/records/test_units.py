@@ -92,6 +92,5 @@ def test_what_does_not_convert_has_no_factor(found, wanted):
     assert conversion(found, wanted) is None
 
 
-@pytest.mark.xfail(reason="records/units.py splits a word at the second * of **", strict=False)
 def test_powers_may_be_written_as_in_python():
     assert conversion("kg*m**2/s**2", "J") == pytest.approx(1.0)

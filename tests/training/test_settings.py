@@ -69,7 +69,7 @@ def test_later_changes_win_and_all_over_the_models_own():
             {"report_n_init": [0, -5]},
             r"^report_n_init: expected a list of sample counts .*, found \[0, -5\]",
         ),
-        ("pg_rssnn", {"report_n_init": 5}, "^report_n_init: expected a list, found 5"),
+        ("pg_rssnn", {"report_n_init": 5}, "^report_n_init: expected a list of sample counts"),
         ("pg_rssnn", {"how": "fast"}, r"members.how: expected auto \| vmap \| loop, found 'fast'"),
         ("pg_rssnn", {"devices": "all"}, r"members.devices: expected int \| auto, found 'all'"),
         ("pg_rssnn", {"guard": "retreat"}, r"fit.guard: expected none \| rollback, found 'retreat'"),
