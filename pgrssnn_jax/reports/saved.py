@@ -53,7 +53,7 @@ def load(
         raise ValueError(f"{folder}: expected a finished run with the file DONE, found none (partial=True reads it)")
     stored = stored_in(run, config)
     chosen = restored_physics(stored, run.path, physics=physics, trust=trust, effects=effects)
-    settings = settings_from_config(config)
+    settings = settings_from_config(config, where=str(folder))
     shared = config["data"].get("shared_initial_state", False)
     if not isinstance(shared, bool):
         raise ValueError(f"{folder}: data.shared_initial_state: expected true or false, found {shared!r}")

@@ -135,12 +135,13 @@ def training_settings(model: str | ModelSpec, *changes: Mapping[str, Any]) -> Tr
     return _checked(name, given)
 
 
-def settings_from_config(config: Mapping[str, Any]) -> TrainingSettings:
+def settings_from_config(config: Mapping[str, Any], where: str = "configuration") -> TrainingSettings:
     """The settings of a configuration, in which those of a run stand at the top level and those of data beside the
-    arguments of the loader. Old spellings are taken with a warning. Raises `ValueError` as `training_settings`."""
+    arguments of the loader. Old spellings are taken with a warning. where: the file, for messages. Raises `ValueError`
+    as `training_settings`."""
     for group in ("model", "fit", "data", "members"):
         if not isinstance(config.get(group), Mapping):
-            raise ValueError(f"configuration: {group}: expected a group of named values, found {config.get(group)!r}")
+            raise ValueError(f"{where}: {group}: expected a group of named values, found {config.get(group)!r}")
     given = {
         "model": {key: value for key, value in config["model"].items() if key != "name"},
         "fit": dict(config["fit"]),
