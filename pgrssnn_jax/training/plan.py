@@ -10,7 +10,7 @@ import numpy as np
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.scaling import model_scaling
-from pgrssnn_jax.physics.base import Physics, Signal
+from pgrssnn_jax.physics.base import Physics, Signal, measured_rate
 from pgrssnn_jax.records.matching import matched
 from pgrssnn_jax.records.record import Record, cast, take
 from pgrssnn_jax.records.scaling import Scaling, Units, in_units, measured_units, standard_units
@@ -165,7 +165,7 @@ def check_range(where: str, signal: Signal, values: np.ndarray) -> None:
 def _has_rates(physics: Physics) -> bool:
     """Is some state the rate of an output? Published scaling then concerns the networks alone and puts rates into the
     units of their outputs (the arm); elsewhere the physics itself acts on standardised signals (LGSSM)."""
-    return any(state.rate_of for state in physics.states)
+    return any(measured_rate(physics, state) for state in physics.states)
 
 
 def _members(settings: TrainingSettings, n_datasets: int, *, seeds_differ: bool) -> list[Member]:
