@@ -30,7 +30,7 @@ from pgrssnn_jax.training.loop import Losses, losses_table, no_losses
 from pgrssnn_jax.training.members import keys_of, map_members
 from pgrssnn_jax.training.optimise import MemberState
 from pgrssnn_jax.training.plan import Plan, member_tests, plan_training
-from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, read_config, short_path
+from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, read_training_config, short_path
 from pgrssnn_jax.training.settings import settings_from_config
 from pgrssnn_jax.training.train import first_checkpoint, train_members
 
@@ -45,7 +45,7 @@ def prepare_training(config: DictConfig) -> Work:
         if config.resume:
             folder = Path(str(config.resume))
             asked = incomplete_config(config)
-            settings = resume_config(asked, read_config(folder), hydra.overrides.task, folder)
+            settings = resume_config(asked, read_training_config(folder), hydra.overrides.task, folder)
             built = resumed_physics(settings, asked, folder)
         else:
             built = settings = plain_config(config)

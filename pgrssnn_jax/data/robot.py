@@ -102,7 +102,8 @@ def load_robot_simulated(
     """The three records, each `[realisation, seq, time, 6]`.
 
     path: folder of the published files; None: `robot_simulated` under PGRSSNN_DATA, or, without that, generated data.
-    realisations: files, each a dataset. The rest as for `load_robot_real`.
+    realisations: files, each a dataset. n_train, n_validation, n_test, n_samples, generated, seed and notify as for
+    `load_robot_real`.
     """
     _check(physics, seed, generated and path is not None, "a folder")
     check_count("data.realisations", realisations, 1, 1000, "datasets")

@@ -28,7 +28,7 @@ from pgrssnn_jax.training.members import Member
 from pgrssnn_jax.training.objective import MemberData
 from pgrssnn_jax.training.optimise import Fit
 from pgrssnn_jax.training.plan import member_mapping, plan_fit
-from pgrssnn_jax.training.run_folder import RunFolder, read_config
+from pgrssnn_jax.training.run_folder import RunFolder, read_training_config
 from pgrssnn_jax.training.settings import settings_from_config
 
 
@@ -48,7 +48,7 @@ def load(
     for a physics that is missing or another one, and for damaged files.
     """
     run = RunFolder(Path(folder))
-    config = read_config(run.path)
+    config = read_training_config(run.path)
     if not (run.finished or partial):
         raise ValueError(f"{folder}: expected a finished run with the file DONE, found none (partial=True reads it)")
     stored = stored_in(run, config)

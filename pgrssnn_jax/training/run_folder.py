@@ -26,7 +26,7 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-_GROUPS = ("physics", "data")  # of every configuration
+_GROUPS = ("physics", "data", "model", "fit", "members")  # of every configuration of training
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
 
 
@@ -221,10 +221,17 @@ def read_config(folder: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: expected the configuration of a run, found {reason}") from None
     if not isinstance(found, dict):
         raise ValueError(f"{path}: expected groups of named values, found {type(found).__name__}")
+    return {str(key): value for key, value in found.items()}
+
+
+def read_training_config(folder: Path) -> dict[str, Any]:
+    """The configuration of a training run. Raises `ValueError` when the folder holds none, or one of something else."""
+    found = read_config(folder)
     for group in _GROUPS:
         if not isinstance(found.get(group), dict):
-            raise ValueError(f"{path}: {group}: expected a group of named values, found {found.get(group)!r}")
-    return {str(key): value for key, value in found.items()}
+            expected = f"{group}: expected a group of named values"
+            raise ValueError(f"{folder / 'config.yaml'}: {expected}, found {found.get(group)!r}")
+    return found
 
 
 def short_path(path: Path) -> str:

@@ -3,7 +3,7 @@
 from itertools import product
 
 import pytest
-from commands import ROOT
+from commands import ROOT, config_names
 from omegaconf import OmegaConf
 
 from pgrssnn_jax.paper.published import Variant, read_paper
@@ -11,19 +11,15 @@ from pgrssnn_jax.paper.published import Variant, read_paper
 PAPER = read_paper()
 
 
-def names(group: str) -> set[str]:
-    return {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
-
-
 def test_every_name_is_one_of_the_configuration():
-    assert set(PAPER.models) == names("model")
-    assert set(PAPER.systems) == names("data") - {"csv"}
-    assert set(PAPER.physics) <= names("physics")
-    assert set(PAPER.experiments) <= names("experiment")
+    assert set(PAPER.models) == set(config_names("model"))
+    assert set(PAPER.systems) == set(config_names("data")) - {"csv"}
+    assert set(PAPER.physics) <= set(config_names("physics"))
+    assert set(PAPER.experiments) <= set(config_names("experiment"))
     for system, variant in PAPER.values:
         assert system in PAPER.systems
         assert variant.model in PAPER.models
-        assert variant.physics in names("physics")
+        assert variant.physics in config_names("physics")
 
 
 def test_every_sweep_of_the_configuration_has_a_table():
