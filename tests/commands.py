@@ -47,7 +47,9 @@ def config_names(group: str) -> list[str]:
     """What a group of the configuration can be, from files or from the package."""
     register()
     files = {path.stem for path in (ROOT / "conf" / group).glob("*.yaml")}
-    return sorted(files | {name.removesuffix(".yaml") for name in ConfigStore.instance().list(group)})
+    store = ConfigStore.instance()
+    registered = store.list(group) if group in store.repo else []
+    return sorted(files | {name.removesuffix(".yaml") for name in registered})
 
 
 def planned(*overrides: str, notify=lambda line: None) -> Planned:
