@@ -4,8 +4,8 @@
     ensemble = fit("pg_rssnn", physics.cascaded_tanks(clamp=True), train);     ensemble.score(test)
     found = discover(physics.cascaded_tanks(), train, test);                   found.physics
 
-No function writes a file unless it is asked to. Bad input raises `ValueError` with one sentence: what, where, what was
-expected, what was found.
+No function writes a file unless it is asked to. Bad input raises `ValueError` with one sentence that names the input,
+its place, the expected value and the value found.
 """
 
 import threading

@@ -5,6 +5,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,23 +41,19 @@ def run(prepare: Prepare, config: Any) -> Any:
     logging.getLogger().setLevel(logging.WARNING)  # JAX and orbax report every step through Hydra's handler
     warnings.showwarning = _warned
     try:
-        with stop_signal() as stop:
+        with stop_signal() as stop, ExitStack() as lock:
             if HydraConfig.get().mode is RunMode.MULTIRUN:
                 from pgrssnn_jax.cli.sweep_jobs import run_job
 
                 return run_job(prepare, config, stop)
             try:
                 work = prepare(config)
-                holding = locked(work.folder)
-                holding.__enter__()
+                lock.enter_context(locked(work.folder))
             except ValueError as problem:
                 sys.exit(say(str(problem)))
-            try:
-                if stop.is_set():
-                    raise Interrupted("stopped before training; nothing was written")
-                work.do(stop)
-            finally:
-                holding.__exit__(None, None, None)
+            if stop.is_set():
+                raise Interrupted("stopped before training; nothing was written")
+            work.do(stop)
     except (Interrupted, KeyboardInterrupt) as stopped:
         sys.stderr.write(f"{stopped or 'stopped; a run folder that was begun can be resumed'}\n")
         sys.exit(INTERRUPTED)

@@ -3,7 +3,7 @@ input is found here or by the API, before a byte is written: every function rais
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from pgrssnn_jax.cli.budget import capped
 from pgrssnn_jax.cli.config_store import shared_start
-from pgrssnn_jax.data.benchmarks import LOADERS, as_records, loader_settings
+from pgrssnn_jax.data.benchmarks import LOADERS, as_records
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import read_stored, stored_physics
 from pgrssnn_jax.physics.base import Origin, Physics
@@ -19,6 +19,7 @@ from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
 from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.training.settings import DataSettings
 
 _KEYS = {
     "physics", "data", "model", "fit", "members", "accelerate",
@@ -47,7 +48,8 @@ def load_experiment(
     data = config["data"]
     if data["name"] not in LOADERS:
         raise ValueError(f"data.name: expected one of {sorted(LOADERS)}, found {data['name']!r}")
-    given = {key: value for key, value in data.items() if key in loader_settings(data["name"]) or key == "timeout"}
+    ours = {"name", "shared_initial_state", *(field.name for field in fields(DataSettings))}
+    given = {key: value for key, value in data.items() if key not in ours}
     splits = call_with(LOADERS[data["name"]], given, "data", physics=physics, notify=notify)
     start = shared_start(data, config["initial_state"])
     train, test = (_starting(record, start) for record in as_records(splits))

@@ -45,8 +45,8 @@ def resume_config(
 
 
 def resumed_physics(config: Mapping[str, Any], asked: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """The configuration of a run whose physics may be built. A folder of others must not say what is executed: an own
-    physics is the one that the command line names, and the effects of the run are those of its own `physics.json`.
+    """The configuration from which the physics of a resumed run is built. The command line, never the folder, names a
+    user's own physics, because building it executes code; `physics.json` in the folder holds the effects of the run.
 
     Raises `ValueError` for an own physics that the command line does not name.
     """

@@ -28,7 +28,7 @@ ALWAYS = -2  # fold of samples that are never left out
 
 class Slot(NamedTuple):
     """What one number of θ is: path of names in the physics' own params or in those of effects, label (names and
-    indices, from 1), its meaning, the effect it belongs to, None: the physics as it was given."""
+    indices, from 1), its meaning, the effect it belongs to, None: the nominal physics."""
 
     path: tuple[str, ...]
     label: str
@@ -138,7 +138,7 @@ class Signals(NamedTuple):
 def build_problem(
     physics: Physics, effects: Sequence[Effect], *, fixed: Sequence[str] = (), accelerate: bool = True
 ) -> Problem:
-    """fixed: names of parameters of the physics that are taken as given; accelerate: False without the tricks of
+    """fixed: names of parameters of the physics that no fit moves; accelerate: False without the tricks of
     `pgrssnn_jax.acceleration`."""
     full = add(physics, *effects)
     names = {effect.name for effect in effects}

@@ -27,8 +27,8 @@ class Rules(NamedTuple):
 
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of what is left of the gap; finalists: candidates that are cross-validated; most: effects that may be
-    found; draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
+    least `rest` of the remaining gap; finalists: candidates that are cross-validated; most: largest number of
+    effects; draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
     `above` times the energy of the noise is left; far: times that energy where errors are surely no noise.
     """
 
@@ -51,7 +51,7 @@ class DiscoverySettings:
     """The defaults of `pg.discover`, of `discover.py` and of its benchmark."""
 
     replace: Mapping[str, Any] = field(default_factory=lambda: dict(_REPLACED))
-    fixed: list[str] = field(default_factory=lambda: list(_FIXED))  # parameters taken as given, NAME or PHYSICS.NAME
+    fixed: list[str] = field(default_factory=lambda: list(_FIXED))  # parameters that no fit moves, NAME or PHYSICS.NAME
     tolerance: float | None = 0.5  # prior: relative standard deviation of the other parameters; None: no prior
     stretches: Any = "auto"  # samples of simulated stretches, one length after the other; []: whole records
     without: list[str] = field(default_factory=list)  # names of effects that the catalogue is to do without

@@ -36,7 +36,7 @@ STARTS = {"unknown": Start.UNKNOWN, "shared": Start.SHARED, "rest": Start.AT_RES
 
 
 class Setup(NamedTuple):
-    """nominal: the physics as it was given; physics: with the settings that discovery chooses; effects: the catalogue;
+    """nominal: the physics before any fit; physics: the same with the settings that discovery chooses; effects: the catalogue;
     train and validation: the estimation record's parts, one realisation; estimation: both together; start: of the test
     record; training: settings of the networks that the proof trains."""
 
@@ -73,6 +73,8 @@ def set_up(
         notify(physics.remark)
     catalogue(physics, settings.without, effects)  # raises for names that it does not have
     signals = physics.inputs, physics.outputs, physics.dt
+    if validation is not None:
+        validation = matched(validation, *signals, where="data: validation")
     parts = estimation_parts(matched(train, *signals, where="data: train"), validation)
     records = [*parts, by_dataset(matched(test, *signals, where="data: test"))]
     count = len(parts[0].u)

@@ -77,9 +77,8 @@ def load(
     trained = Trained(fit.objective, mapping, members, found.state, found.scaling, found.units, start)
     inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
     info = RecordInfo(inputs, outputs, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
-    return Ensemble(
-        settings, trained, found.losses, info, n_train=metrics.get("n_train", 0), seconds=metrics.get("seconds", {})
-    )
+    seconds = {name: value for name, value in metrics.get("seconds", {}).items() if name != "total"}
+    return Ensemble(settings, trained, found.losses, info, n_train=metrics.get("n_train", 0), seconds=seconds)
 
 
 def stored_in(run: RunFolder, config: Mapping[str, Any]) -> dict[str, Any]:

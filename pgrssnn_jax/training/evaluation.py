@@ -22,7 +22,7 @@ from pgrssnn_jax.training.plan import MemberTests, Plan
 class Trained(NamedTuple):
     """What predicting needs of trained members: their best parameters, scaling and units, all `[member]` first.
 
-    start `[member, x]`: x_0 of the first training sequence, NaN where it is not known; statuses: how training ended.
+    start `[member, x]`: x_0 of the first training sequence, NaN where it is not known.
     """
 
     objective: Objective
