@@ -27,8 +27,8 @@ class Rules(NamedTuple):
 
     p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
     that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of the remaining gap; finalists: candidates that are cross-validated; most: largest number of
-    effects; draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
+    least `rest` of the remaining gap; finalists: candidates that are cross-validated; most: largest number of effects;
+    draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
     `above` times the energy of the noise is left; far: times that energy where errors are surely no noise.
     """
 

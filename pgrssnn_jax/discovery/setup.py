@@ -36,9 +36,9 @@ STARTS = {"unknown": Start.UNKNOWN, "shared": Start.SHARED, "rest": Start.AT_RES
 
 
 class Setup(NamedTuple):
-    """nominal: the physics before any fit; physics: the same with the settings that discovery chooses; effects: the catalogue;
-    train and validation: the estimation record's parts, one realisation; estimation: both together; start: of the test
-    record; training: settings of the networks that the proof trains."""
+    """nominal: the physics before any fit; physics: the same with the settings that discovery chooses; effects: the
+    catalogue; train and validation: the estimation record's parts, one realisation; estimation: both together;
+    start: of the test record; training: settings of the networks that the proof trains."""
 
     nominal: Physics
     physics: Physics
