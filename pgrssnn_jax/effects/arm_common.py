@@ -1,11 +1,11 @@
 """What the effects of an arm have in common: which arms can take them, and where their fits begin."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, counted
+from pgrssnn_jax.effects.base import Effect, Needs, at_point, counted
 from pgrssnn_jax.physics.arms.points import ArmPoints
 from pgrssnn_jax.physics.base import Parameter, Physics, extension_of
 
@@ -29,17 +29,30 @@ def an_arm(n: int | None = None, *, masses: bool = False) -> Needs:
     return Needs(f"an arm{joints}{' with backend=jax' if masses else ''}", met)
 
 
-def per_joint(n: int, parameters: Mapping[str, Parameter], **fields: Any) -> Effect:
-    """An effect with one number of each parameter per joint. A fit begins at none where the fields do not say
-    otherwise: the torque is linear in the numbers."""
+def arm_effect(
+    n: int | None,
+    name: str,
+    point: str,
+    change: Callable[..., Any],
+    parameters: Mapping[str, Parameter],
+    *,
+    per_joint: bool = True,
+    **fields: Any,
+) -> Effect:
+    """v ← change(numbers, own, v, ...) at an extension point of an arm of n joints (None: any).
+
+    per_joint: one number of each parameter per joint; false, or for any arm: one in all. A fit begins at none where
+    the fields do not say otherwise: the torque is linear in the numbers.
+    """
+    shape = () if n is None or not per_joint else (n,)
     whole: dict[str, Any] = {
-        "parameters": parameters,
-        "shapes": dict.fromkeys(parameters, (n,)),
-        "initial_guesses": lambda span: [{name: np.full(n, p.neutral, float) for name, p in parameters.items()}],
-        "needs": an_arm(n),
-        "channels": "joint",
+        "wrap": lambda physics: at_point(physics, point, name, change),
+        "shapes": dict.fromkeys(parameters, shape) if shape else {},
+        "initial_guesses": lambda span: [{key: np.full(shape, p.neutral, float) for key, p in parameters.items()}],
+        "needs": an_arm(n, masses=point == "masses"),
+        "channels": "joint" if shape else "",
     }
-    return Effect(**{**whole, **fields})
+    return Effect(name, parameters, **{**whole, **fields})
 
 
 def largest(span: np.ndarray, first: int = 0) -> np.ndarray:

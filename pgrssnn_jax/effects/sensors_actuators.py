@@ -14,36 +14,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, SignalRange, counted, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted, on_input, on_output, with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 LONGEST_DELAY = 6  # samples that input_delay remembers
 _INFINITE = float("inf")
 
-Where = Literal["input", "measurement"]
+Side = Literal["input", "output"]
 
 
 def any_system_effects(physics: Physics) -> tuple[Effect, ...]:
     """The effects of this file for the signals of a physics; those of the inputs first. What is added later acts on an
     input earlier: it is late, then follows with a lag, and that is what a range or a dead zone bends, as in a pump."""
     return (
-        input_offset(physics),
-        input_gain(physics),
+        offset(physics, "input", "what acts on the system differs from the recorded input by a constant"),
+        gain(physics, "input", "the actuator is stronger or weaker than recorded"),
         input_dead_zone(physics),
-        input_saturation(physics),
+        saturation(physics, "input", "Input saturation", "the actuator cannot follow beyond its limits"),
         input_lag(physics),
         input_delay(physics),
-        sensor_offset(physics),
-        sensor_gain(physics),
-        sensor_saturation(physics),
+        offset(physics, "output", "the zero of the sensor has shifted"),
+        gain(physics, "output", "the sensor is calibrated to another slope"),
+        saturation(physics, "output", "End of the sensor's range", "the sensor cannot read beyond its range"),
     )
 
 
-def _channels(where: Where, physics: Physics) -> Needs:
-    """As many inputs or outputs as those that the effect has numbers for."""
-    kind = "input" if where == "input" else "output"
-    n = len(getattr(physics, f"{kind}s"))
-    return Needs(counted(n, kind), lambda other: len(getattr(other, f"{kind}s")) == n)
+def _signals(physics: Physics, side: Side) -> tuple[Signal, ...]:
+    return physics.inputs if side == "input" else physics.outputs
+
+
+def _per_channel(
+    physics: Physics, side: Side, what: str, law: str, change: Callable[..., Any], **fields: Any
+) -> Effect:
+    """u ← change(n, u) or y ← change(n, y), with one number of each parameter per channel. law: of u' or y, from `v`,
+    the value as it was."""
+    name = f"{'input' if side == 'input' else 'sensor'}_{what}"
+    after, before = ("u'", "u") if side == "input" else ("y", "y'")
+    on, n = on_input if side == "input" else on_output, len(_signals(physics, side))
+    return Effect(
+        name,
+        equation=f"{after} = {law.format(v=before)}",
+        acts_on="input" if side == "input" else "measurement",
+        wrap=lambda inner: on(inner, name, change),
+        needs=Needs(counted(n, side), lambda other: len(_signals(other, side)) == n),
+        shapes=dict.fromkeys(fields["parameters"], (n,)),
+        channels=side,
+        **fields,
+    )
 
 
 def _remembered(physics: Physics) -> Needs:
@@ -63,160 +80,88 @@ def _spread(span: np.ndarray, share: float) -> np.ndarray:
     return span[0] + share * (span[1] - span[0])
 
 
-def _linear(
-    where: Where, name: str, title: str, equation: str, cause: str, parameter: Parameter, change: Callable[..., Any]
-) -> Callable[[Physics], Effect]:
-    """An offset or a gain: two starting values about the neutral one."""
-
-    def build(physics: Physics) -> Effect:
-        signals = physics.inputs if where == "input" else physics.outputs
-        (key,) = ("offset",) if parameter.neutral == 0.0 else ("gain",)
-        meaning = parameter._replace(unit=_unit(signals) if key == "offset" else "")
-
-        def initial_guesses(span: SignalRange) -> list[dict[str, np.ndarray]]:
-            low, high = span.u if where == "input" else span.y
-            size = 0.05 * (high - low) if key == "offset" else np.full(len(signals), 0.05)
-            return [{key: parameter.neutral + size}, {key: parameter.neutral - size}]
-
-        def wrap(inner: Physics) -> Physics:
-            on = on_input if where == "input" else on_output
-            return on(inner, name, lambda n, value: change(value, n[key]))
-
-        return Effect(
-            name,
-            title=title,
-            equation=equation,
-            cause=cause,
-            acts_on=where,
-            parameters={key: meaning},
-            initial_guesses=initial_guesses,
-            wrap=wrap,
-            needs=_channels(where, physics),
-            shapes={key: (len(signals),)},
-            channels="input" if where == "input" else "output",
-        )
-
-    return build
+def _span(span: SignalRange, side: Side) -> np.ndarray:
+    return span.u if side == "input" else span.y
 
 
-sensor_offset = _linear(
-    "measurement",
-    "sensor_offset",
-    "Sensor offset",
-    "y = y' + b",
-    "the zero of the sensor has shifted",
-    Parameter("b", neutral=0.0),
-    lambda value, b: value + b,
-)
-sensor_gain = _linear(
-    "measurement",
-    "sensor_gain",
-    "Sensor gain",
-    "y = g y'",
-    "the sensor is calibrated to another slope",
-    Parameter("g", bounds=(0.05, 20.0), neutral=1.0),
-    lambda value, g: g * value,
-)
-input_offset = _linear(
-    "input",
-    "input_offset",
-    "Input offset",
-    "u' = u + b",
-    "what acts on the system differs from the recorded input by a constant",
-    Parameter("b", neutral=0.0),
-    lambda value, b: value + b,
-)
-input_gain = _linear(
-    "input",
-    "input_gain",
-    "Input gain",
-    "u' = g u",
-    "the actuator is stronger or weaker than recorded",
-    Parameter("g", bounds=(0.05, 20.0), neutral=1.0),
-    lambda value, g: g * value,
-)
+def offset(physics: Physics, side: Side, cause: str) -> Effect:
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        low, high = _span(span, side)
+        return [{"offset": share * (high - low)} for share in (0.05, -0.05)]
+
+    return _per_channel(
+        physics,
+        side,
+        "offset",
+        "{v} + b",
+        lambda n, value: value + n["offset"],
+        title=f"{'Input' if side == 'input' else 'Sensor'} offset",
+        cause=cause,
+        parameters={"offset": Parameter("b", _unit(_signals(physics, side)), neutral=0.0)},
+        initial_guesses=initial_guesses,
+    )
 
 
-def _saturation(where: Where, physics: Physics) -> Effect:
-    signals = physics.inputs if where == "input" else physics.outputs
-    name = f"{'input' if where == 'input' else 'sensor'}_saturation"
-    n, unit = len(signals), _unit(signals)
+def gain(physics: Physics, side: Side, cause: str) -> Effect:
+    n = len(_signals(physics, side))
+    return _per_channel(
+        physics,
+        side,
+        "gain",
+        "g {v}",
+        lambda n, value: n["gain"] * value,
+        title=f"{'Input' if side == 'input' else 'Sensor'} gain",
+        cause=cause,
+        parameters={"gain": Parameter("g", bounds=(0.05, 20.0), neutral=1.0)},
+        initial_guesses=lambda span: [{"gain": np.full(n, 1.0 + part)} for part in (0.05, -0.05)],
+    )
 
-    def initial_guesses(span: SignalRange) -> list[dict[str, np.ndarray]]:
-        found = span.u if where == "input" else span.y
-        none = np.full(n, _INFINITE)
+
+def saturation(physics: Physics, side: Side, title: str, cause: str) -> Effect:
+    signals, v = _signals(physics, side), "u" if side == "input" else "y"
+
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
+        found, none = _span(span, side), np.full(len(signals), _INFINITE)
         above = [{"low": -none, "high": _spread(found, share)} for share in (0.65, 0.8, 0.93)]
         below = [{"low": _spread(found, share), "high": none} for share in (0.07, 0.25)]
         return [*above, *below, {"low": _spread(found, 0.2), "high": _spread(found, 0.8)}]
 
-    def wrap(inner: Physics) -> Physics:
-        on = on_input if where == "input" else on_output
-        return on(inner, name, lambda p, value: jnp.clip(value, p["low"], p["high"]))
+    def active(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+        value = u
+        if side == "output":  # before the sensor's own effects; x may hold memory states behind those of the physics
+            own = jnp.asarray(x[:, : len(physics.states)])
+            value = np.asarray(jax.vmap(physics.measure, (None, 0, 0))(physics.params, own, jnp.asarray(u)))
+        return ((value > n["high"]) | (value < n["low"])).any(-1)
 
-    def active(p: Any, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        if where == "input":
-            return ((u > p["high"]) | (u < p["low"])).any(-1)
-        y = np.asarray(_measured(physics, x, u))
-        return ((y > p["high"]) | (y < p["low"])).any(-1)
-
-    v = "u" if where == "input" else "y"
-    return Effect(
-        name,
-        title="Input saturation" if where == "input" else "End of the sensor's range",
-        equation=f"{v}' = min(max(u, low), high)" if where == "input" else "y = min(max(y', low), high)",
-        cause="the actuator cannot follow beyond its limits"
-        if where == "input"
-        else "the sensor cannot read beyond its range",
-        acts_on=where,
+    return _per_channel(
+        physics,
+        side,
+        "saturation",
+        "min(max({v}, low), high)",
+        lambda n, value: jnp.clip(value, n["low"], n["high"]),
+        title=title,
+        cause=cause,
         parameters={
-            "low": Parameter(f"{v}_min", unit, neutral=-_INFINITE),
-            "high": Parameter(f"{v}_max", unit, neutral=_INFINITE),
+            "low": Parameter(f"{v}_min", _unit(signals), neutral=-_INFINITE),
+            "high": Parameter(f"{v}_max", _unit(signals), neutral=_INFINITE),
         },
         initial_guesses=initial_guesses,
-        wrap=wrap,
-        needs=_channels(where, physics),
-        shapes={"low": (n,), "high": (n,)},
         active=active,
-        channels="input" if where == "input" else "output",
     )
 
 
-def _measured(physics: Physics, x: np.ndarray, u: np.ndarray) -> jax.Array:
-    """Outputs `[time, y]` before the sensor's own effects; x may hold memory states behind those of the physics."""
-    own = jnp.asarray(x[:, : len(physics.states)])
-    return jax.vmap(physics.measure, (None, 0, 0))(physics.params, own, jnp.asarray(u))
-
-
-def input_saturation(physics: Physics) -> Effect:
-    return _saturation("input", physics)
-
-
-def sensor_saturation(physics: Physics) -> Effect:
-    return _saturation("measurement", physics)
-
-
 def input_dead_zone(physics: Physics) -> Effect:
-    n = len(physics.inputs)
-
-    def initial_guesses(span: SignalRange) -> list[dict[str, np.ndarray]]:
-        largest = np.abs(span.u).max(0)
-        return [{"width": share * largest} for share in (0.08, 0.2, 0.4)]
-
-    return Effect(
-        "input_dead_zone",
+    return _per_channel(
+        physics,
+        "input",
+        "dead_zone",
+        "sign({v}) max(|{v}| - w, 0)",
+        lambda n, u: jnp.sign(u) * jnp.maximum(jnp.abs(u) - n["width"], 0.0),
         title="Input dead zone",
-        equation="u' = sign(u) max(|u| - w, 0)",
         cause="a small input has no effect: friction in a valve, a pump that must first build up pressure",
-        acts_on="input",
         parameters={"width": Parameter("w", _unit(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},
-        initial_guesses=initial_guesses,
-        wrap=lambda inner: on_input(
-            inner, "input_dead_zone", lambda p, u: jnp.sign(u) * jnp.maximum(jnp.abs(u) - p["width"], 0.0)
-        ),
-        needs=_channels("input", physics),
-        shapes={"width": (n,)},
-        active=lambda p, x, u: (np.abs(u) < p["width"]).any(-1),
-        channels="input",
+        initial_guesses=lambda span: [{"width": share * np.abs(span.u).max(0)} for share in (0.08, 0.2, 0.4)],
+        active=lambda n, x, u: (np.abs(u) < n["width"]).any(-1),
     )
 
 

@@ -10,14 +10,14 @@ Flows that an effect adds act once per sample, at the mean of the levels before 
 they change let out in the meantime (errors of second order).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, SignalRange, after_step, on_input, own_of
+from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, after_step, on_input, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.tanks import safe_sqrt
 
@@ -36,9 +36,7 @@ def tank_effects(physics: Physics) -> tuple[Effect, ...]:
         overflow_1to2(physics.dt),
         overflow_lost(physics.dt),
         tank2_overflow(),
-        pump_nonlinearity(),
-        pump_dead_zone(),
-        pump_saturation(),
+        *pump_effects(),
     )
 
 
@@ -70,12 +68,10 @@ def _kept(dt: float, slope: jax.Array) -> jax.Array:
     return 1.0 - 0.5 * dt * jnp.clip(slope, 0.0, 1.0 / dt)
 
 
-def _shares(
-    name: str, signal: str, index: int, shares: tuple[float, ...]
-) -> Callable[[SignalRange], list[dict[str, Any]]]:
+def _shares(name: str, signal: str, index: int, shares: Sequence[float]) -> Callable[[SignalRange], list[Numbers]]:
     """Initial guesses inside the range of one signal."""
 
-    def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
+    def initial_guesses(span: SignalRange) -> list[Numbers]:
         low, high = getattr(span, signal)[:, index]
         return [{name: np.asarray(low + share * (high - low))} for share in shares]
 
@@ -94,127 +90,120 @@ def _spilled(own: Any, level: Any, x: jax.Array, new: jax.Array, dt: float) -> t
     return over + extra, extra
 
 
-def overflow_1to2(dt: float) -> Effect:
-    name = "overflow_1to2"
+def _rim(name: str, tank: int, change: Callable[..., jax.Array], shares: Sequence[float], **fields: Any) -> Effect:
+    """An overflow of tank 0 or 1; shares: of the range of its level, where fits look for the rim."""
+    return Effect(
+        name,
+        {"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+        lambda physics: after_step(physics, name, change),
+        initial_guesses=_shares("level", "x", tank, shares),
+        active=lambda n, x, u: x[:, tank] >= n["level"] - 1e-6,
+        **fields,
+    )
 
+
+def overflow_1to2(dt: float) -> Effect:
     def change(n: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         spilled, extra = _spilled(own, n["level"], x, new, dt)
         return new.at[0].add(extra - spilled).at[1].add(n["share"] * spilled - extra)
 
-    def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
-        levels = _shares("level", "x", 0, (0.55, 0.75, 0.9))(span)
-        return [{**start, "share": np.asarray(0.7)} for start in levels]
-
-    return Effect(
-        name,
+    effect = _rim(
+        "overflow_1to2",
+        0,
+        change,
+        (0.55, 0.75, 0.9),
         needs=_tanks(dt),
         title="Overflow of the upper tank into the lower",
         equation="x1 ≤ L; x2 gains α times what spills",
         cause="the upper tank runs over its rim, and part of the water falls into the lower tank",
-        parameters={
-            "level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE),
-            "share": Parameter("α", "", bounds=(0.0, 1.0), neutral=1.0),
-        },
-        initial_guesses=initial_guesses,
-        wrap=lambda physics: after_step(physics, name, change),
-        active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
         simpler=("overflow_lost",),
+    )
+    levels = effect.guesses
+    share = Parameter("α", "", bounds=(0.0, 1.0), neutral=1.0)
+    return effect._replace(
+        parameters={**effect.parameters, "share": share},
+        initial_guesses=lambda span: [{**start, "share": np.asarray(0.7)} for start in levels(span)],
     )
 
 
 def overflow_lost(dt: float) -> Effect:
-    name = "overflow_lost"
-
     def change(n: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         spilled, extra = _spilled(own, n["level"], x, new, dt)
         return new.at[0].add(extra - spilled).at[1].add(-extra)
 
-    return Effect(
-        name,
+    return _rim(
+        "overflow_lost",
+        0,
+        change,
+        (0.55, 0.75, 0.9),
         needs=_tanks(dt),
         title="Overflow of the upper tank, lost",
         equation="x1 ≤ L",
         cause="the upper tank runs over its rim, and the water leaves the system",
-        parameters={"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
-        initial_guesses=_shares("level", "x", 0, (0.55, 0.75, 0.9)),
-        wrap=lambda physics: after_step(physics, name, change),
-        active=lambda n, x, u: x[:, 0] >= n["level"] - 1e-6,
     )
 
 
 def tank2_overflow() -> Effect:
-    name = "tank2_overflow"
-    return Effect(
-        name,
+    return _rim(
+        "tank2_overflow",
+        1,
+        lambda n, own, x, u, new: new.at[1].min(n["level"]),
+        (0.65, 0.8, 0.93),
         needs=_tanks(),
         title="Overflow of the lower tank",
         equation="x2 ≤ L",
         cause="the lower tank runs over its rim",
-        parameters={"level": Parameter("L", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
-        initial_guesses=_shares("level", "x", 1, (0.65, 0.8, 0.93)),
-        wrap=lambda physics: after_step(physics, name, lambda n, own, x, u, new: new.at[1].min(n["level"])),
-        active=lambda n, x, u: x[:, 1] >= n["level"] - 1e-6,
     )
 
 
-def pump_dead_zone() -> Effect:
-    name = "pump_dead_zone"
-    return Effect(
-        name,
-        needs=_tanks(),
-        title="Dead zone of the pump",
-        equation="u' = max(u - u0, 0)",
-        cause="the pump moves no water until its voltage has overcome friction and head",
-        acts_on="input",
-        parameters={"voltage": Parameter("u0", "V", bounds=(0.0, _INFINITE), neutral=0.0)},
-        initial_guesses=_shares("voltage", "u", 0, (0.1, 0.25, 0.45)),
-        wrap=lambda physics: on_input(physics, name, lambda n, u: _dead(u, n["voltage"])),
-        active=lambda n, x, u: u[:, 0] < n["voltage"],
+def pump_effects() -> tuple[Effect, ...]:
+    """A negative voltage, which no pump of this kind has, meets no dead zone."""
+
+    def effect(name: str, change: Callable[[Any, jax.Array], jax.Array], **fields: Any) -> Effect:
+        return Effect(
+            name, wrap=lambda physics: on_input(physics, name, change), needs=_tanks(), acts_on="input", **fields
+        )
+
+    def curved(n: Any, u: jax.Array) -> jax.Array:
+        power = ((u / _MEETS) ** 2 + _SMALL**2) ** (0.5 * (n["exponent"] - 1.0))  # without the kink of |u| at zero
+        return u * (1.0 + n["curvature"] * u / _FULL_SCALE) * power
+
+    return (
+        effect(
+            "pump_nonlinearity",
+            curved,
+            title="Curved pump characteristic",
+            equation="u' = u (1 + c u / 10 V) (|u| / 3 V)^(n - 1)",
+            cause="the flow of the pump is not proportional to its voltage",
+            parameters={
+                "curvature": Parameter("c", "", bounds=(-5.0, 5.0), neutral=0.0),
+                "exponent": Parameter("n", "", bounds=(0.3, 3.0), neutral=1.0),
+            },
+            initial_guesses=lambda span: [
+                {"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)
+            ],
+        ),
+        effect(
+            "pump_dead_zone",
+            lambda n, u: jnp.where(u > 0.0, jnp.maximum(u - n["voltage"], 0.0), u),
+            title="Dead zone of the pump",
+            equation="u' = max(u - u0, 0)",
+            cause="the pump moves no water until its voltage has overcome friction and head",
+            parameters={"voltage": Parameter("u0", "V", bounds=(0.0, _INFINITE), neutral=0.0)},
+            initial_guesses=_shares("voltage", "u", 0, (0.1, 0.25, 0.45)),
+            active=lambda n, x, u: u[:, 0] < n["voltage"],
+        ),
+        effect(
+            "pump_saturation",
+            lambda n, u: jnp.minimum(u, n["voltage"]),
+            title="Saturation of the pump",
+            equation="u' = min(u, u_max)",
+            cause="the pump delivers no more above some voltage",
+            parameters={"voltage": Parameter("u_max", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
+            initial_guesses=_shares("voltage", "u", 0, (0.55, 0.7, 0.85)),
+            active=lambda n, x, u: u[:, 0] > n["voltage"],
+        ),
     )
-
-
-def _dead(u: jax.Array, voltage: jax.Array) -> jax.Array:
-    """A negative voltage, which no pump of this kind has, is left alone."""
-    return jnp.where(u > 0.0, jnp.maximum(u - voltage, 0.0), u)
-
-
-def pump_saturation() -> Effect:
-    name = "pump_saturation"
-    return Effect(
-        name,
-        needs=_tanks(),
-        title="Saturation of the pump",
-        equation="u' = min(u, u_max)",
-        cause="the pump delivers no more above some voltage",
-        acts_on="input",
-        parameters={"voltage": Parameter("u_max", "V", bounds=(0.0, _INFINITE), neutral=_INFINITE)},
-        initial_guesses=_shares("voltage", "u", 0, (0.55, 0.7, 0.85)),
-        wrap=lambda physics: on_input(physics, name, lambda n, u: jnp.minimum(u, n["voltage"])),
-        active=lambda n, x, u: u[:, 0] > n["voltage"],
-    )
-
-
-def pump_nonlinearity() -> Effect:
-    name = "pump_nonlinearity"
-    return Effect(
-        name,
-        needs=_tanks(),
-        title="Curved pump characteristic",
-        equation="u' = u (1 + c u / 10 V) (|u| / 3 V)^(n - 1)",
-        cause="the flow of the pump is not proportional to its voltage",
-        acts_on="input",
-        parameters={
-            "curvature": Parameter("c", "", bounds=(-5.0, 5.0), neutral=0.0),
-            "exponent": Parameter("n", "", bounds=(0.3, 3.0), neutral=1.0),
-        },
-        initial_guesses=lambda span: [{"curvature": np.asarray(c), "exponent": np.asarray(1.0)} for c in (-0.3, 0.3)],
-        wrap=lambda physics: on_input(physics, name, _curved),
-    )
-
-
-def _curved(n: Any, u: jax.Array) -> jax.Array:
-    power = ((u / _MEETS) ** 2 + _SMALL**2) ** (0.5 * (n["exponent"] - 1.0))  # without the kink of |u| at zero
-    return u * (1.0 + n["curvature"] * u / _FULL_SCALE) * power
 
 
 def leak_tank1(dt: float) -> Effect:

@@ -8,19 +8,24 @@ import numpy as np
 import pytest
 from toys import toy_physics
 
-from pgrssnn_jax.effects.arm import arm_effects
-from pgrssnn_jax.effects.arm_joints import home_offset, stiction
-from pgrssnn_jax.effects.arm_masses import gravity_direction, payload, rotor_inertia
-from pgrssnn_jax.effects.arm_torques import torque_bias, wrist_coupling
-from pgrssnn_jax.effects.base import add
+from pgrssnn_jax.effects.arm import arm_effects, gravity_direction, home_offset, joint_effects, mass_effects
+from pgrssnn_jax.effects.arm_torques import torque_effects, wrist_coupling
+from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.effects.lgssm import feedthrough, quadratic_damping
-from pgrssnn_jax.effects.sensors_actuators import any_system_effects, input_delay, input_offset, sensor_gain
+from pgrssnn_jax.effects.sensors_actuators import any_system_effects, input_delay
 from pgrssnn_jax.effects.systems import add_effect, catalogue
-from pgrssnn_jax.effects.tanks import leak_tank1, pump_dead_zone, tank_effects
+from pgrssnn_jax.effects.tanks import leak_tank1, pump_effects, tank_effects
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Signal, discrete
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+
+def named(name: str, effects: tuple[Effect, ...]) -> Effect:
+    return next(effect for effect in effects if effect.name == name)
+
+
+PAYLOAD, ROTOR_INERTIA = (named(name, mass_effects(6)) for name in ("payload", "rotor_inertia"))
 
 
 def state_space(inputs=("u",)):
@@ -28,21 +33,41 @@ def state_space(inputs=("u",)):
 
 
 REFUSED = {
-    "load on tanks": (cascaded_tanks, payload(), "payload: expected an arm with backend=jax, found physics 'tanks'"),
-    "bias on tanks": (cascaded_tanks, torque_bias(1), "torque_bias: expected an arm of 1 joint, found physics 'tanks'"),
+    "load on tanks": (cascaded_tanks, PAYLOAD, "payload: expected an arm with backend=jax, found physics 'tanks'"),
+    "bias on tanks": (
+        cascaded_tanks,
+        named("torque_bias", torque_effects(1, np.ones(1))),
+        "torque_bias: expected an arm of 1 joint, found physics 'tanks'",
+    ),
     "reading of a toy": (toy_physics, home_offset(2), "home_offset: expected an arm of 2 joints, found physics 'toy'"),
-    "joints of another arm": (arm, stiction(2), "stiction: expected an arm of 2 joints, found physics 'arm'"),
+    "joints of another arm": (
+        arm,
+        named("stiction", joint_effects(2)),
+        "stiction: expected an arm of 2 joints, found physics 'arm'",
+    ),
     "leak of an arm": (arm, leak_tank1(0.1), "leak_tank1: expected two cascaded tanks with k1 to k5, one pump and"),
     "leak of other samples": (cascaded_tanks, leak_tank1(2.0), "leak_tank1: .* and dt=2 s, found physics 'tanks'"),
-    "pump of a toy": (toy_physics, pump_dead_zone(), "pump_dead_zone: expected two cascaded tanks"),
+    "pump of a toy": (
+        toy_physics,
+        named("pump_dead_zone", pump_effects()),
+        "pump_dead_zone: expected two cascaded tanks",
+    ),
     "matrix of tanks": (cascaded_tanks, feedthrough(state_space()), "feedthrough: expected a linear state-space model"),
     "matrix of another": (
         lambda: state_space(("a", "b")),
         quadratic_damping(state_space()),
         r"quadratic_damping: expected a linear state-space model with A \(2, 2\), B \(2, 1\) and C \(1, 2\), found",
     ),
-    "two channels": (cascaded_tanks, input_offset(toy_physics()), "input_offset: expected 2 inputs, found physics 'ta"),
-    "one reading": (toy_physics, sensor_gain(cascaded_tanks()), "sensor_gain: expected 1 output, found physics 'toy'"),
+    "two channels": (
+        cascaded_tanks,
+        named("input_offset", any_system_effects(toy_physics())),
+        "input_offset: expected 2 inputs, found physics 'ta",
+    ),
+    "one reading": (
+        toy_physics,
+        named("sensor_gain", any_system_effects(cascaded_tanks())),
+        "sensor_gain: expected 1 output, found physics 'toy'",
+    ),
     "other inputs": (
         toy_physics,
         input_delay(state_space(("f", "h"))),
@@ -58,7 +83,7 @@ def test_an_effect_that_a_physics_cannot_take_is_refused_by_name(case):
         add(build(), effect)
 
 
-@pytest.mark.parametrize("effect", [payload(), rotor_inertia(6), gravity_direction()], ids=lambda e: e.name)
+@pytest.mark.parametrize("effect", [PAYLOAD, ROTOR_INERTIA, gravity_direction()], ids=lambda e: e.name)
 def test_pinocchios_masses_are_its_own(effect):
     physics = arm(backend="pinocchio")
     joints = " of 6 joints" if effect.name == "rotor_inertia" else ""
@@ -84,17 +109,17 @@ def test_a_changed_step_is_not_assembled_again():
     own = arm()
     other = own._replace(step=lambda p, x, u: 0.5 * own.step(p, x, u))
     with pytest.raises(ValueError, match="payload: expected an arm"):
-        add(other, payload())
+        add(other, PAYLOAD)
     unmeasured = own._replace(measure=lambda p, x, u: 2.0 * x[:6])
     with pytest.raises(ValueError, match="stiction: expected an arm of 6 joints"):
-        add(unmeasured, stiction(6))
+        add(unmeasured, named("stiction", joint_effects(6)))
 
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("outside", ["input_offset", "input_delay", "sensor_gain", "home_offset"])
 def test_effects_around_a_step_and_inside_it_come_in_any_order(outside):
     physics = arm(integrator="euler")
-    inside = (payload(), wrist_coupling())
+    inside = (PAYLOAD, wrist_coupling())
     around = home_offset(6) if outside == "home_offset" else {e.name: e for e in any_system_effects(physics)}[outside]
     numbers = {
         "payload": {"mass": 40.0, "distance": 0.3},

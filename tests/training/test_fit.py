@@ -11,7 +11,8 @@ from small import small_fit
 from toys import quick_jit
 
 from pgrssnn_jax.effects.base import add
-from pgrssnn_jax.effects.tanks import leak_tank1, pump_saturation
+from pgrssnn_jax.effects.systems import add_effect
+from pgrssnn_jax.effects.tanks import leak_tank1
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Parameter
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -227,7 +228,7 @@ def test_numbers_of_effects_are_trained_beside_those_of_the_physics():
     """A leak of its true size is found from none, an absent limit stays absent, and k2 stays where it is held."""
     names = ("leak_tank1", "pump_saturation")
     truth = add(cascaded_tanks(), leak_tank1(4.0), numbers={"leak_tank1": {"rate": 0.02}})
-    start = add(cascaded_tanks(), leak_tank1(4.0), pump_saturation())
+    start = add_effect(add(cascaded_tanks(), leak_tank1(4.0)), "pump_saturation")
     held = {name: Parameter(trainable=False) for name in start.params.own}
     settings = FitSettings(
         epochs=300, learning_rate=2e-3, optimizer="adam", chunk_epochs=100, physics_parameters="trained", patience=300

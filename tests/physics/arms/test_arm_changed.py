@@ -8,7 +8,7 @@ import pytest
 from arm_samples import KUKA, OBLIQUE, TREE, accelerations, published, states, urdf
 from toys import quick_jit
 
-from pgrssnn_jax.effects.arm_masses import tilted
+from pgrssnn_jax.effects.arm import tilted
 from pgrssnn_jax.physics.arms.chain import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics, inverse_dynamics
 from pgrssnn_jax.physics.arms.pinocchio_dynamics import forward_dynamics as pinocchios
