@@ -90,7 +90,7 @@ def arm(
     if urdf is None and lock:
         raise ValueError(f"physics.lock: expected none without physics.urdf, found {list(lock)}")
     tables = described(robot, preset) if urdf is None else read_urdf(urdf, lock)
-    overrides: dict[str, tuple[str, Any]] = {
+    settings: dict[str, tuple[str, Any]] = {
         "offset": ("joint_offset", joint_offset),
         "gear": ("gear_ratio", gear_ratio),
         "motor_inertia": ("motor_inertia", motor_inertia),
@@ -99,8 +99,11 @@ def arm(
         "position_min": ("position_min", position_min),
         "position_max": ("position_max", position_max),
         "velocity_max": ("velocity_max", velocity_max),
+        "S": ("velocity_disturbance", velocity_disturbance),
+        "theta": ("torque_bias", torque_bias),
     }
-    given = {field: per_joint(name, value, tables) for field, (name, value) in overrides.items() if value is not None}
+    given = {field: per_joint(name, value, tables) for field, (name, value) in settings.items() if value is not None}
+    disturbances = {symbol: given.pop(symbol) for symbol in ("S", "theta") if symbol in given}
     if "gear" in given and not given["gear"].all():
         raise ValueError(f"physics.gear_ratio: expected numbers other than 0, found {gear_ratio}")
     if urdf is not None and "gear" in given:  # a URDF says friction and armature on the link side
@@ -111,19 +114,21 @@ def arm(
     if gravity is not None:
         tables = tables._replace(gravity=_gravity(gravity))
     _check_limits(tables)
-    params = {"G": tables.gear, "B": tables.viscous, "Tc": tables.coulomb}
-    disturbances = {"S": ("velocity_disturbance", velocity_disturbance), "theta": ("torque_bias", torque_bias)}
-    for symbol, (name, value) in disturbances.items():
-        if value is not None:
-            params[symbol] = per_joint(name, value, tables)
+    params = {"G": tables.gear, "B": tables.viscous, "Tc": tables.coulomb, **disturbances}
     accelerations = BACKENDS[backend](tables, derivatives)
 
     def assemble(points: ArmPoints) -> tuple[Step, Measure]:
-        derivative = _derivative(points, accelerations)
+        def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
+            """d[q, q̇]/dt."""
+            q, v = jnp.split(x, 2)
+            extra = points.masses(p) if points.masses else Extra()
+            return jnp.concatenate([v, accelerations(q, v, points.torque(p, q, v, points.drive(p, u)), extra)])
+
         advance = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
         step = _step(points, advance, tables, limits=limits, stopped=physics_gradient == "stopped")
         return step, points.measure
 
+    numbered = ", ".join(f"{i} {name}" for i, name in enumerate(tables.joints, 1))
     points = own_points(tables.gravity, masses=backend == "jax", measured=measured)
     physics = discrete(
         "arm",
@@ -134,8 +139,8 @@ def arm(
         inputs=tuple(Signal(f"torque_{i + 1}", "Nm") for i in range(tables.n)),
         outputs=_outputs(tables, limits=limits),
         dt=dt,
-        skeleton=skeleton(tables) if _is_chain(tables) else None,
-        remark="" if urdf is None else _numbered(tables),
+        skeleton=skeleton(tables) if tables.parents == tuple(range(-1, tables.n - 1)) else None,
+        remark=f"joints of {tables.name}: {numbered}" if urdf is not None else "",
         differentiable=physics_gradient == "full",
     )
     return extended(physics, points, assemble)
@@ -176,16 +181,6 @@ def _check_limits(tables: ArmTables) -> None:
             raise ValueError(f"physics.velocity_max: expected more than 0 rad/s at {name}, found {fastest:g}")
 
 
-def _derivative(points: ArmPoints, accelerations: ForwardDynamics) -> Step:
-    def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
-        """d[q, q̇]/dt."""
-        q, v = jnp.split(x, 2)
-        extra = points.masses(p) if points.masses else Extra()
-        return jnp.concatenate([v, accelerations(q, v, points.torque(p, q, v, points.drive(p, u)), extra)])
-
-    return derivative
-
-
 def _step(points: ArmPoints, advance: Step, tables: ArmTables, *, limits: bool, stopped: bool) -> Step:
     low = np.concatenate([tables.position_min, -tables.velocity_max])
     high = np.concatenate([tables.position_max, tables.velocity_max])
@@ -214,11 +209,3 @@ def _outputs(tables: ArmTables, *, limits: bool) -> tuple[Signal, ...]:
     beyond = _BEYOND if limits else np.inf
     low, high = tables.position_min - beyond, tables.position_max + beyond
     return tuple(Signal(f"position_{i + 1}", "rad", range=(float(low[i]), float(high[i]))) for i in range(tables.n))
-
-
-def _numbered(tables: ArmTables) -> str:
-    return f"joints of {tables.name}: " + ", ".join(f"{i} {name}" for i, name in enumerate(tables.joints, 1))
-
-
-def _is_chain(tables: ArmTables) -> bool:
-    return tables.parents == tuple(range(-1, tables.n - 1))

@@ -8,6 +8,7 @@ comes last (`[n, batch]`), which the compiler turns into long vector loops.
 Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 5 and 6.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -100,7 +101,7 @@ def accelerations(chain: Chain, q: Batch, v: Batch, tau: Batch, extra: Extra) ->
     """q̈, and what its derivative needs: the factors of M and the world's axes and inertias."""
     world = world_at(chain, q, extra)
     factor = factorise(chain, mass(chain, world, extra))
-    a = solve(chain, factor, tau - newton_euler(chain, world, v, None, extra))
+    a = solve(chain, factor, tau - bias(chain, world, v, extra))
     return a, factor, world
 
 
@@ -144,7 +145,7 @@ def _loaded(chain: Chain, world: World, tip: Vector, payload: jax.Array) -> Worl
     )
 
 
-def unpacked(chain: Chain, packed: tuple[jax.Array, ...]) -> World:
+def unpacked(chain: Chain, packed: Sequence[jax.Array]) -> World:
     """The inverse of `World.packed`."""
     rows, *loaded = packed
     mass, point = (loaded[0], list(loaded[1])) if loaded else (chain.column(chain.tables.mass, rows), None)
@@ -182,13 +183,11 @@ def _combine(weights: np.ndarray, columns: list[jax.Array]) -> jax.Array:
     return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(columns[0])
 
 
-def newton_euler(chain: Chain, world: World, v: Batch, a: Batch | None, extra: Extra) -> Batch:
-    """τ of the links without the armature; a None: h(q, q̇), with q̈ = 0."""
+def bias(chain: Chain, world: World, v: Batch, extra: Extra) -> Batch:
+    """h(q, q̇), the torque without acceleration, by Newton-Euler."""
     own = scale(v, world.axes)
     velocity = list(chain.towards_tips(jnp.stack(own)))
     gain = motion_cross(velocity, own)
-    if a is not None:
-        gain = plus(gain, scale(a, world.axes))
     acceleration = with_gravity(chain, chain.towards_tips(jnp.stack(gain)), extra)
     force = plus(momentum(world.inertias, acceleration), force_cross(velocity, momentum(world.inertias, velocity)))
     return dot(world.axes, list(chain.towards_base(jnp.stack(force))))
@@ -201,12 +200,6 @@ def with_gravity(chain: Chain, acceleration: jax.Array, extra: Extra) -> Vector:
     else:
         pull = [extra.gravity[k : k + 1] for k in range(3)]
     return [*acceleration[:3], *(acceleration[3 + k] - pull[k] for k in range(3))]
-
-
-def armature(chain: Chain, a: Batch, extra: Extra) -> jax.Array:
-    """Motor inertia as the links feel it, kg m², `[n, batch]` or `[n, 1]`."""
-    own = chain.column(chain.tables.armature, a)
-    return own if extra.rotor is None else own + extra.rotor
 
 
 def mass(chain: Chain, world: World, extra: Extra) -> list[list[Any]]:

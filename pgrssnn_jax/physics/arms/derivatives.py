@@ -29,16 +29,16 @@ from pgrssnn_jax.physics.arms.spatial import (
     motion_cross,
     plus,
     scale,
+    symmetric,
 )
 
 Matrix = Float[jax.Array, "n columns batch"]
 
 
 class Motion(NamedTuple):
-    """velocity and acceleration of the links, with the weight in the latter; own_v and gain: what each adds to those
+    """velocity and acceleration of the links, with the weight in the latter; gain: what each adds to the acceleration
     of its parent; moving: momentum, force: what moves the link."""
 
-    own_v: Vector
     velocity: Vector
     gain: Vector
     acceleration: Vector
@@ -133,7 +133,7 @@ def _motion(chain: Chain, world: World, own_v: Vector, velocity: Vector, a: Batc
     acceleration = with_gravity(chain, chain.towards_tips(jnp.stack(gain)), extra)
     moving = momentum(world.inertias, velocity)
     force = plus(momentum(world.inertias, acceleration), force_cross(velocity, moving))
-    return Motion(own_v, velocity, gain, acceleration, moving, force)
+    return Motion(velocity, gain, acceleration, moving, force)
 
 
 def _rate(inertias: Inertias, velocity: Vector) -> Vector:
@@ -155,10 +155,8 @@ def _rate(inertias: Inertias, velocity: Vector) -> Vector:
 
 def _changing(rate: Vector, a: Vector) -> Vector:
     """The rate of an inertia times a motion; no mass comes or goes."""
-    first, (xx, yy, zz, xy, xz, yz) = rate[:3], rate[3:]
-    x, y, z = a[:3]
-    turned = [xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z]
-    return plus(turned, cross(first, a[3:])) + cross(a[:3], first)
+    first = rate[:3]
+    return plus(symmetric(rate[3:], a), cross(first, a[3:])) + cross(a[:3], first)
 
 
 def _by_extra(chain: Chain, world: World, motion: Motion, a: Batch, extra: Extra) -> Extra:

@@ -21,10 +21,8 @@ import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.chain import Extra
-from pgrssnn_jax.physics.arms.jax_dynamics import Derivatives, ForwardDynamics, Joints
+from pgrssnn_jax.physics.arms.jax_dynamics import TABLES_ONLY, Derivatives, ForwardDynamics, Joints
 from pgrssnn_jax.physics.arms.tables import ArmTables, pinocchio_model
-
-_TABLES_ONLY = Extra()
 
 
 def forward_dynamics(tables: ArmTables, derivatives: Derivatives = "reverse") -> ForwardDynamics:
@@ -56,7 +54,7 @@ def forward_dynamics(tables: ArmTables, derivatives: Derivatives = "reverse") ->
         differentiable = jax.custom_jvp(alone)
         differentiable.defjvp(push)
 
-    def accelerations(q: Joints, v: Joints, tau: Joints, extra: Extra = _TABLES_ONLY) -> Joints:
+    def accelerations(q: Joints, v: Joints, tau: Joints, extra: Extra = TABLES_ONLY) -> Joints:
         if jax.tree.leaves(extra):
             raise ValueError("physics.backend: expected jax for effects on the moving masses, found pinocchio")
         return differentiable(q, v, tau)

@@ -53,9 +53,13 @@ def force_cross(a: Vector, f: Vector) -> Vector:
     return plus(cross(a[:3], f[:3]), cross(a[3:], f[3:])) + cross(a[:3], f[3:])
 
 
+def symmetric(second: Vector, a: Vector) -> Vector:
+    """A second moment times the angular part of a motion."""
+    (xx, yy, zz, xy, xz, yz), (x, y, z) = second, a[:3]
+    return [xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z]
+
+
 def momentum(inertias: Inertias, a: Vector) -> Vector:
     """I a, a force from a motion."""
-    mass, first, (xx, yy, zz, xy, xz, yz) = inertias
-    x, y, z = a[:3]
-    turned = [xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z]
-    return plus(turned, cross(first, a[3:])) + plus(scale(mass, a[3:]), cross(a[:3], first))
+    mass, first, second = inertias
+    return plus(symmetric(second, a), cross(first, a[3:])) + plus(scale(mass, a[3:]), cross(a[:3], first))

@@ -103,6 +103,12 @@ def accelerations(model: pin.Model, q: np.ndarray, v: np.ndarray, tau: np.ndarra
     return np.stack([pin.aba(model, data, in_model(model, a), b, c).copy() for a, b, c in zip(q, v, tau, strict=True)])
 
 
+def torques(model: pin.Model, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Pinocchio's rnea, which counts the armature, as does its aba."""
+    data = model.createData()
+    return np.stack([pin.rnea(model, data, in_model(model, x), y, z).copy() for x, y, z in zip(q, v, a, strict=True)])
+
+
 def slope_by_hand(tables: ArmTables, theta: np.ndarray | float = 0.0):
     """dx/dt of the documented equation, on motor torques."""
     model, n, g = pinocchio_model(tables), tables.n, tables.gear

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_samples import KUKA, in_model, sample_arm, states, with_rotor
+from arm_samples import KUKA, in_model, sample_arm, states, torques, with_rotor
 from jax.flatten_util import ravel_pytree
 from jax.test_util import check_grads
 from toys import quick_jit
@@ -13,7 +13,7 @@ from toys import quick_jit
 from pgrssnn_jax.physics.arms import pinocchio_dynamics
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.arms.chain import Extra
-from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics, inverse_dynamics
+from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics
 
 pytestmark = pytest.mark.usefixtures("x64")
 BY_ALL = (0, 1, 2, 3)
@@ -32,7 +32,6 @@ class Robot:
         if name == "tree":
             self.tables, self.model = with_rotor(self.tables, self.model)
         self.n = self.tables.n
-        self.inverse = quick_jit(jax.vmap(inverse_dynamics(self.tables), (0, 0, 0, None)))
         modes = {"forward": jax.jacfwd, "reverse": jax.jacrev}
         self.value, self.jacobian = {}, {}
         for mode, differentiate in modes.items():
@@ -40,7 +39,7 @@ class Robot:
             self.value[mode] = quick_jit(jax.vmap(dynamics, (0, 0, 0, None)))
             self.jacobian[mode] = cache_by_extra(quick_jit(jax.vmap(differentiate(dynamics, BY_ALL), (0, 0, 0, None))))
         q, v, a = states(self.n, 5)
-        self.given = q, v, np.asarray(self.inverse(q, v, a, Extra()))
+        self.given = q, v, torques(self.model, q, v, a)
 
 
 def cache_by_extra(function):
@@ -109,14 +108,6 @@ def test_jacobians_are_finite_differences(robot):
     by_extra = np.concatenate(jax.tree.leaves(found[3]), -1)
     slopes = [slope(lambda move: [*robot.given, whole(flat + move)], h * e) for e in np.eye(len(flat))]
     assert_close(by_extra, np.stack(slopes, -1), 1e-7)
-
-
-def test_inverse_undoes_forward_with_all_that_is_changed(robot):
-    extra = changed(robot.n)
-    q, v, tau = robot.given
-    for mode in ("forward", "reverse"):
-        a = robot.value[mode](q, v, tau, extra)
-        np.testing.assert_allclose(robot.inverse(q, v, a, extra), tau, rtol=1e-9, atol=1e-9)
 
 
 def test_nothing_extra_changes_nothing(robot):

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_samples import accelerations, in_model, sample_arm, states, with_rotor
+from arm_samples import accelerations, in_model, sample_arm, states, torques, with_rotor
 from toys import quick_jit
 
-from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics, inverse_dynamics, mass_matrix
+from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics
 from pgrssnn_jax.physics.integrate import rk4_looped
 
 BATCH = 1000
@@ -23,14 +23,12 @@ class Robot:
         if name == "tree":
             self.tables, self.model = with_rotor(self.tables, self.model)
         self.n, self.forward = self.tables.n, forward_dynamics(self.tables)
-        inverse, mass = inverse_dynamics(self.tables), mass_matrix(self.tables)
 
         def pulled(q, v, tau, a_bar):
             a, back = jax.vjp(self.forward, q, v, tau)
             return a, back(a_bar)
 
         self._pulled = quick_jit(jax.vmap(pulled))
-        self._others = quick_jit(jax.vmap(lambda q, v, a: (inverse(q, v, a), mass(q))))
 
     def pulled(self, *given):
         return batched(self._pulled, *given)
@@ -38,11 +36,10 @@ class Robot:
     def accelerations(self, q, v, tau):
         return self.pulled(q, v, tau, np.zeros_like(tau))[0]
 
-    def torques(self, q, v, a):
-        return batched(self._others, q, v, a)[0]
-
     def masses(self, q):
-        return batched(self._others, q, np.zeros_like(q), np.zeros_like(q))[1]
+        data = self.model.createData()
+        found = np.stack([np.triu(pin.crba(self.model, data, in_model(self.model, x))) for x in q])
+        return found + np.swapaxes(np.triu(found, 1), 1, 2)
 
 
 def batched(function, *given):
@@ -82,56 +79,12 @@ def assert_close(found, expected, rtol):
 def weighed(robot, count, seed=0):
     """States, with torques of the size that the robot's masses need."""
     q, v, a = states(robot.n, count, seed)
-    return q, v, np.asarray(robot.torques(q, v, a))
+    return q, v, torques(robot.model, q, v, a)
 
 
 def test_accelerations_are_pinocchios(robot):
     given = weighed(robot, 1000)
     assert_close(robot.accelerations(*given), accelerations(robot.model, *given), 1e-9)
-
-
-def test_torques_are_pinocchios(robot):
-    """Pinocchio's rnea counts the armature, as does its aba."""
-    given, data = states(robot.n, 300), robot.model.createData()
-    expected = [
-        pin.rnea(robot.model, data, in_model(robot.model, q), v, a).copy() for q, v, a in zip(*given, strict=True)
-    ]
-    assert_close(robot.torques(*given), expected, 1e-10)
-
-
-def test_inverse_undoes_forward(robot):
-    q, v, a = states(robot.n, 300, seed=1)
-    np.testing.assert_allclose(robot.accelerations(q, v, robot.torques(q, v, a)), a, atol=1e-8)
-
-
-def test_mass_matrix_is_pinocchios_symmetric_and_positive_definite(robot):
-    q, data = states(robot.n, 100)[0], robot.model.createData()
-    found = np.asarray(robot.masses(q))
-    np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
-    assert np.linalg.eigvalsh(found).min() > 0
-    assert_close(found, [pin.crba(robot.model, data, in_model(robot.model, x)).copy() for x in q], 1e-12)
-
-
-def test_branches_do_not_feel_each_others_mass(tree):
-    found = np.asarray(tree.masses(states(tree.n, 5)[0]))
-    left, right = [1, 2], [3, 4, 5]
-    assert not found[:, left][:, :, right].any()
-    assert found[:, 0].all()
-
-
-def test_power_of_the_torques_is_the_change_of_energy(robot):
-    q, v, a = states(robot.n, 50, seed=2)
-    model, h = robot.model, 1e-4
-    data = model.createData()
-
-    def energy(time):
-        x, w = q + time * v + time**2 / 2 * a, v + time * a
-        height = [pin.computePotentialEnergy(model, data, in_model(model, one)) for one in x]
-        return np.einsum("bi,bij,bj->b", w, robot.masses(x), w) / 2 + height
-
-    change = (8 * (energy(h) - energy(-h)) - (energy(2 * h) - energy(-2 * h))) / (12 * h)
-    power = np.sum(np.asarray(robot.torques(q, v, a)) * v, -1)
-    np.testing.assert_allclose(change, power, rtol=1e-6, atol=1e-6 * np.abs(power).max())
 
 
 def test_free_motion_keeps_its_energy(tree):
@@ -191,7 +144,7 @@ def test_single_precision_stays_single_and_agrees(kuka):
 def test_single_precision_of_a_tree_stays_single(tree):
     def everything(x):
         a, back = jax.vjp(tree.forward, x, x, x)
-        return a, back(x), inverse_dynamics(tree.tables)(x, x, x), mass_matrix(tree.tables)(x)
+        return a, back(x)
 
     found = jax.eval_shape(jax.vmap(everything), jax.ShapeDtypeStruct((5, tree.n), jnp.float32))
     assert {x.dtype for x in jax.tree.leaves(found)} == {jnp.float32.dtype}
@@ -225,6 +178,4 @@ def test_one_bad_sample_spoils_no_other(kuka):
 def test_torque_at_rest_is_the_weight(robot):
     q, still, data = states(robot.n, 50)[0], np.zeros((50, robot.n)), robot.model.createData()
     weight = [pin.computeGeneralizedGravity(robot.model, data, in_model(robot.model, x)).copy() for x in q]
-    expected = np.array(weight)
-    np.testing.assert_allclose(robot.torques(q, still, still), expected, atol=1e-10)
-    np.testing.assert_allclose(robot.accelerations(q, still, expected), still, atol=1e-8)
+    np.testing.assert_allclose(robot.accelerations(q, still, np.array(weight)), still, atol=1e-8)
