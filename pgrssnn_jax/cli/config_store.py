@@ -13,11 +13,11 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import Container, OmegaConf
 
+from pgrssnn_jax import physics
 from pgrssnn_jax.data.benchmarks import LOADERS, loader_settings
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.effects.stored import plain
 from pgrssnn_jax.models.spec import VARIANTS, ModelSpec
-from pgrssnn_jax.physics.library import builder
 from pgrssnn_jax.training.recipes import DEFAULT, PROOF, RECIPES, Recipe
 from pgrssnn_jax.training.settings import (
     GROUP_OF,
@@ -52,7 +52,7 @@ def register() -> None:
         own = {"window": 64} if name == "lgssm" else {}  # samples; published
         store.store(name, {"name": name, **said, **shared, **asdict(DataSettings()), **own}, group="data")
     for name, build in _PHYSICS.items():
-        parameters = inspect.signature(builder(build)).parameters
+        parameters = inspect.signature(getattr(physics, build)).parameters
         settings = {key: plain(parameter.default) for key, parameter in parameters.items()}
         target = f"pgrssnn_jax.physics.{build}"
         store.store(name, {"_target_": target, **settings, "effects": None}, group="physics")

@@ -129,32 +129,26 @@ class Physics(NamedTuple):
                 raise ValueError(f"physics {self.name!r}: variant: expected settings among {known}, found {name!r}")
         if self.origin is None or not changes:
             return self
-        before = self.origin.build(**self.settings)
-        after = self.origin.build(**{**self.settings, **changes})
-        params = _kept(self.params, before.params, after.params)
         settings = {**self.settings, **changes}
-        origin = self.origin._replace(settings=settings)
+        before, after = self.origin.build(**self.settings), self.origin.build(**settings)
         begun = {state.name: state.start for state in self.states}
-        states = tuple(s._replace(start=begun.get(s.name, s.start)) for s in after.states)
-        return after._replace(params=params, states=states, origin=origin, discovered=self.discovered)
+        return after._replace(
+            params=_kept(self.params, before.params, after.params),
+            states=tuple(s._replace(start=begun.get(s.name, s.start)) for s in after.states),
+            origin=self.origin._replace(settings=settings),
+            discovered=self.discovered,
+        )
 
 
 def _kept(present: Params, before: Params, after: Params) -> Params:
     """The numbers of `after`; where they do not differ from those of `before`, the present ones."""
-    (now, was), places = (
-        (
-            {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
-            for tree in (present, before)
-        ),
-        jax.tree_util.tree_leaves_with_path(after),
-    )
+    now, was = (dict(jax.tree_util.tree_leaves_with_path(tree)) for tree in (present, before))
 
-    def chosen(place: str, leaf: Any) -> Any:
-        same = place in now and place in was and np.array_equal(was[place], leaf)
-        return now[place] if same and np.shape(now[place]) == np.shape(leaf) else leaf
+    def chosen(path: Any, leaf: Any) -> Any:
+        same = path in now and path in was and np.array_equal(was[path], leaf)
+        return now[path] if same and np.shape(now[path]) == np.shape(leaf) else leaf
 
-    leaves = [chosen(jax.tree_util.keystr(path), leaf) for path, leaf in places]
-    return jax.tree.unflatten(jax.tree.structure(after), leaves)
+    return jax.tree_util.tree_map_with_path(chosen, after)
 
 
 Settings = ParamSpec("Settings")
@@ -230,12 +224,10 @@ def discrete(
         raise ValueError(
             f"physics {name!r}: parameters: expected the tree of params, {jax.tree.structure(params)}, found {found}"
         )
-    for leaf in jax.tree.leaves(meanings, is_leaf=is_parameter):
+    leaves = jax.tree.leaves(meanings, is_leaf=is_parameter)
+    for (path, value), leaf in zip(jax.tree_util.tree_leaves_with_path(params), leaves, strict=True):
         if not is_parameter(leaf):
             raise ValueError(f"physics {name!r}: parameters: expected a Parameter per number, found {leaf!r}")
-    for (path, value), leaf in zip(
-        jax.tree_util.tree_leaves_with_path(params), jax.tree.leaves(meanings, is_leaf=is_parameter), strict=True
-    ):
         low, high = leaf.bounds
         if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
             key = jax.tree_util.keystr(path, simple=True, separator=".")

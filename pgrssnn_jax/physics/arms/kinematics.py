@@ -17,16 +17,8 @@ def skeleton(tables: ArmTables) -> Callable[[Float[np.ndarray, "*batch n"]], Flo
         for i in range(tables.n):
             origin = origin + (turned @ tables.position[i])
             found.append(origin)
-            turned = turned @ tables.rotation[i] @ turn_z(tables.offset[i]) @ _turns(q[..., i])
+            turned = turned @ tables.rotation[i] @ turn_z(tables.offset[i]) @ turn_z(q[..., i])
         found.append(origin + turned @ tables.tip)
         return np.stack(found, axis=-2)
 
     return points
-
-
-def _turns(angles: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch 3 3"]:
-    c, s = np.cos(angles), np.sin(angles)
-    matrices = np.zeros((*np.shape(angles), 3, 3))
-    matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1] = c, -s, s, c
-    matrices[..., 2, 2] = 1.0
-    return matrices

@@ -173,11 +173,11 @@ def _body(tables: ArmTables, i: int) -> pin.Inertia:
     return pin.Inertia.FromDynamicParameters(np.array([mass, *(mass * center), xx, xy, yy, xz, yz, zz]))
 
 
-def turn_z(angle: float) -> Float[np.ndarray, "3 3"]:
+def turn_z(angle: Float[np.ndarray, "*batch"] | float) -> Float[np.ndarray, "*batch 3 3"]:
     """Rz(angle), with exact zeros and ones at quarter turns."""
-    c, s = np.cos(angle), np.sin(angle)
-    c, s = (np.round(v) if abs(v - np.round(v)) < 1e-15 else v for v in (c, s))
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    c, s = (np.where(np.abs(v - np.round(v)) < 1e-15, np.round(v), v) for v in (np.cos(angle), np.sin(angle)))
+    zero, one = np.zeros_like(c), np.ones_like(c)
+    return np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(*np.shape(angle), 3, 3)
 
 
 def _turned_to_z(model: pin.Model, data: pin.Data, i: int, where: str) -> Float[np.ndarray, "3 3"]:
