@@ -8,6 +8,7 @@ import numpy as np
 from pgrssnn_jax.effects.arm import arm_effects
 from pgrssnn_jax.effects.arm_common import points_of
 from pgrssnn_jax.effects.base import Effect, Numbers, add, effects_of, own_of
+from pgrssnn_jax.effects.generic import generic_effects
 from pgrssnn_jax.effects.lgssm import lgssm_effects
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
@@ -51,8 +52,8 @@ def _of_system(physics: Physics) -> tuple[Effect, ...]:
     system = system_of(physics)
     if system == "arm":  # its own effects say per joint what those of any system would
         return arm_effects(physics)
-    own = {"tanks": tank_effects, "lgssm": lgssm_effects}
-    found = (*(own[system](physics) if system in own else ()), *any_system_effects(physics))
+    own = {"tanks": tank_effects, "lgssm": lgssm_effects, "any": generic_effects}[system]
+    found = (*own(physics), *any_system_effects(physics))
     return tuple(effect for effect in found if effect.name not in _SAID_OTHERWISE.get(system, ()))
 
 

@@ -20,14 +20,14 @@ DT = 0.05
 SPAN = SignalRange(np.array([[-1.0, -2.0], [1.0, 2.0]]), np.array([[-1.0], [1.0]]), np.array([[-1.0], [1.0]]))
 
 
-def cubic_spring(**fields) -> Effect:
+def twisted_wire(**fields) -> Effect:
     """q̈ = ... - k q³, as a change of speed in every sample."""
 
     def pull(n, own, x, u, new):
         return new.at[1].add(-DT * n["k"] * x[0] ** 3)
 
     meaning = Parameter("k", "1/(s² rad²)", bounds=(0.0, 50.0), neutral=0.0)
-    return Effect("cubic_spring", {"k": meaning}, lambda physics: after_step(physics, "cubic_spring", pull), **fields)
+    return Effect("twisted_wire", {"k": meaning}, lambda physics: after_step(physics, "twisted_wire", pull), **fields)
 
 
 def simulate(physics, params, u, x0=(0.8, 0.0)):
@@ -59,16 +59,16 @@ U = np.sin(0.3 * np.arange(60))[:, None]
 
 
 def test_three_fields_make_an_effect():
-    changed = add(pendulum(), cubic_spring())
+    changed = add(pendulum(), twisted_wire())
     check_physics(changed, "here")
-    assert changed.params == WithEffects({"g": 9.81, "c": 0.1}, {"cubic_spring": {"k": 0.0}})
-    assert changed.parameters.effects["cubic_spring"]["k"].symbol == "k"
+    assert changed.params == WithEffects({"g": 9.81, "c": 0.1}, {"twisted_wire": {"k": 0.0}})
+    assert changed.parameters.effects["twisted_wire"]["k"].symbol == "k"
     found = simulate(changed, jax.tree.map(jnp.asarray, changed.params), U)
     np.testing.assert_array_equal(found, simulate(pendulum(), pendulum().params, U))
 
 
 def test_it_is_simulated_and_differentiated():
-    changed = add_effect(pendulum(), cubic_spring(), k=12.0)
+    changed = add_effect(pendulum(), twisted_wire(), k=12.0)
     params = jax.tree.map(jnp.asarray, changed.params)
 
     def run(params):
@@ -77,41 +77,41 @@ def test_it_is_simulated_and_differentiated():
     np.testing.assert_allclose(quick_jit(run)(params), loop(12.0, U), rtol=1e-10)
 
     def at(k):
-        return params._replace(effects={"cubic_spring": {"k": k}})
+        return params._replace(effects={"twisted_wire": {"k": k}})
 
     slope = quick_jit(jax.jacfwd(lambda k: run(at(k))))(12.0)
     np.testing.assert_allclose(slope, (loop(12.0 + 1e-5, U) - loop(12.0 - 1e-5, U)) / 2e-5, rtol=1e-5, atol=1e-8)
     pulled = quick_jit(jax.grad(lambda params: run(params).sum()))(params)
-    np.testing.assert_allclose(pulled.effects["cubic_spring"]["k"], slope.sum(), rtol=1e-9)
+    np.testing.assert_allclose(pulled.effects["twisted_wire"]["k"], slope.sum(), rtol=1e-9)
 
 
 def test_fits_begin_between_neutral_and_the_bound():
-    assert [float(start["k"]) for start in cubic_spring().guesses(SPAN)] == [0.0, 5.0, 25.0]
+    assert [float(start["k"]) for start in twisted_wire().guesses(SPAN)] == [0.0, 5.0, 25.0]
     free = {"k": Parameter("k", neutral=2.0)}
-    assert [float(start["k"]) for start in cubic_spring()._replace(parameters=free).guesses(SPAN)] == [2.0]
-    given = cubic_spring(initial_guesses=lambda span: [{"k": span.x[1, 0]}])
+    assert [float(start["k"]) for start in twisted_wire()._replace(parameters=free).guesses(SPAN)] == [2.0]
+    given = twisted_wire(initial_guesses=lambda span: [{"k": span.x[1, 0]}])
     assert given.guesses(SPAN) == [{"k": 1.0}]
-    limit = cubic_spring()._replace(parameters={"level": Parameter("L", neutral=np.inf)})
-    with pytest.raises(ValueError, match="cubic_spring: expected initial_guesses beside an infinite neutral"):
+    limit = twisted_wire()._replace(parameters={"level": Parameter("L", neutral=np.inf)})
+    with pytest.raises(ValueError, match="twisted_wire: expected initial_guesses beside an infinite neutral"):
         limit.guesses(SPAN)
-    with pytest.raises(ValueError, match="cubic_spring.k: expected a neutral value, found none"):
-        add(pendulum(), cubic_spring()._replace(parameters={"k": Parameter("k")}))
+    with pytest.raises(ValueError, match="twisted_wire.k: expected a neutral value, found none"):
+        add(pendulum(), twisted_wire()._replace(parameters={"k": Parameter("k")}))
 
 
 def test_the_catalogue_takes_it_at_its_end():
     known = effects.catalogue(pendulum())
-    assert catalogue(pendulum(), extra=[cubic_spring()])[-1].name == "cubic_spring"
-    assert len(catalogue(pendulum(), extra=[cubic_spring()])) == len(known) + 1
-    taken = cubic_spring()._replace(name="sensor_offset")
+    assert catalogue(pendulum(), extra=[twisted_wire()])[-1].name == "twisted_wire"
+    assert len(catalogue(pendulum(), extra=[twisted_wire()])) == len(known) + 1
+    taken = twisted_wire()._replace(name="sensor_offset")
     with pytest.raises(ValueError, match="extra effects with names of their own, found another 'sensor_offset'"):
         catalogue(pendulum(), extra=[taken])
-    with pytest.raises(ValueError, match="found another 'cubic_spring'"):
-        catalogue(pendulum(), extra=[cubic_spring(), cubic_spring()])
+    with pytest.raises(ValueError, match="found another 'twisted_wire'"):
+        catalogue(pendulum(), extra=[twisted_wire(), twisted_wire()])
     assert catalogue(pendulum(), without=["sensor_offset"], extra=[taken])[-1] is taken
     of_angle = Needs("a state called angle", lambda physics: any(s.name == "angle" for s in physics.states))
-    assert catalogue(pendulum(), extra=[cubic_spring(needs=of_angle)])
-    with pytest.raises(ValueError, match="cubic_spring: expected a state called angle, found physics 'tanks'"):
-        catalogue(cascaded_tanks(), extra=[cubic_spring(needs=of_angle)])
+    assert catalogue(pendulum(), extra=[twisted_wire(needs=of_angle)])
+    with pytest.raises(ValueError, match="twisted_wire: expected a state called angle, found physics 'tanks'"):
+        catalogue(cascaded_tanks(), extra=[twisted_wire(needs=of_angle)])
 
 
 def test_one_number_stands_for_all_channels_and_none_for_no_limit():

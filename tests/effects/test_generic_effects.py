@@ -1,0 +1,212 @@
+"""Effects of any physics against a solver of the equation that has them, and the same in any unit."""
+
+from functools import cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from toys import quick_jit
+
+from pgrssnn_jax.acceleration.scalars import written_out
+from pgrssnn_jax.effects import add_effect, catalogue
+from pgrssnn_jax.effects.base import Effect, SignalRange, add
+from pgrssnn_jax.effects.generic import generic_effects
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.base import Physics, Signal, continuous
+from pgrssnn_jax.physics.linear import lgssm
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+pytestmark = pytest.mark.usefixtures("x64")
+FORCES = ["viscous_friction", "coulomb_friction", "quadratic_drag", "linear_spring", "cubic_spring", "constant_force"]
+FLOWS = ["leak", "inflow", "power_law"]
+
+
+def carts(unit: float = 1.0, dt: float = 0.05) -> Physics:
+    """Two carts on springs beside a tank that fills; lengths and levels in `unit` of what they are."""
+
+    def slope(p: Any, x: Any, u: Any, xp: Any = jnp) -> Any:
+        way, level, speed, other, rate = x
+        return xp.stack([speed, 0.3 * unit * u[0] - 0.1 * level, unit * u[0] - 2 * way, rate, way - 3 * other])
+
+    return continuous(
+        "carts",
+        slope,
+        lambda p, x, u: x[:2],
+        {"one": 1.0},
+        states=(
+            Signal("way", "m", like="way"),
+            Signal("level", "V", like="level"),
+            Signal("speed", "m/s", rate_of="way"),
+            Signal("other"),
+            Signal("rate", rate_of="other"),
+        ),
+        inputs=(Signal("force"),),
+        outputs=(Signal("way", "m"), Signal("level", "V")),
+        dt=dt,
+    )
+
+
+#: numbers (of both carts), and what they add to the derivative of (way, level, speed, other, rate)
+CASES: dict[str, tuple[dict[str, Any], Any]] = {
+    "viscous_friction": ({"c": [0.8, 0.3]}, lambda x: [0, 0, -0.8 * x[2], 0, -0.3 * x[4]]),
+    "coulomb_friction": (
+        {"a": [0.15, 0.1]},
+        lambda x: [0, 0, -0.15 * np.tanh(x[2] / 1e-3), 0, -0.1 * np.tanh(x[4] / 1e-3)],
+    ),
+    "quadratic_drag": ({"c": [0.9, 1.5]}, lambda x: [0, 0, -0.9 * abs(x[2]) * x[2], 0, -1.5 * abs(x[4]) * x[4]]),
+    "linear_spring": ({"k": [1.5, 0.7]}, lambda x: [0, 0, -1.5 * x[0], 0, -0.7 * x[3]]),
+    "cubic_spring": ({"k": [2.0, -0.9]}, lambda x: [0, 0, -2.0 * x[0] ** 3, 0, 0.9 * x[3] ** 3]),
+    "constant_force": ({"a": [0.4, -0.3]}, lambda x: [0, 0, 0.4, 0, -0.3]),
+    "leak": ({"r": [0.5]}, lambda x: [0, -0.5 * x[1], 0, 0, 0]),
+    "inflow": ({"f": [-0.2]}, lambda x: [0, -0.2, 0, 0, 0]),
+    "power_law": ({"c": [0.3], "n": [1.7]}, lambda x: [0, -0.3 * np.sign(x[1]) * abs(x[1]) ** 1.7, 0, 0, 0]),
+}
+#: power of the unit of lengths that a number is in
+POWERS = {
+    "viscous_friction": 0, "coulomb_friction": 1, "quadratic_drag": -1, "linear_spring": 0, "cubic_spring": -2,
+    "constant_force": 1, "leak": 0, "inflow": 1,
+}  # fmt: skip
+START = np.array([0.8, 1.0, -0.2, -0.5, 0.6])
+
+
+def forces(dt: float) -> np.ndarray:
+    """Held for half a second, over six seconds."""
+    return np.repeat(np.random.default_rng(5).normal(0.6, 1.0, 12), round(0.5 / dt))
+
+
+@cache
+def solved(name: str | None) -> np.ndarray:
+    """States at every half second."""
+    more = CASES[name][1] if name else lambda x: [0.0] * 5
+
+    def slope(_: float, x: np.ndarray, u: float) -> np.ndarray:
+        way, level, speed, other, rate = x
+        return np.array([speed, 0.3 * u - 0.1 * level, u - 2 * way, rate, way - 3 * other]) + np.array(more(x))
+
+    x, found = START, []
+    for u in forces(0.5):
+        x = solve_ivp(slope, (0.0, 0.5), x, method="LSODA", args=(u,), rtol=1e-9, atol=1e-10).y[:, -1]
+        found.append(x)
+    return np.array(found)
+
+
+def simulated(physics: Physics, start: Any = START, unit: float = 1.0) -> np.ndarray:
+    def run(params, x, u):
+        def body(x, one):
+            x = physics.step(params, x, one)
+            return x, x
+
+        return jax.lax.scan(body, x, u)[1]
+
+    u = forces(physics.dt)[:, None]
+    found = quick_jit(run)(jax.tree.map(jnp.asarray, physics.params), unit * jnp.asarray(start), jnp.asarray(u))
+    return np.asarray(found)
+
+
+def error(name: str, dt: float) -> float:
+    """Largest error at the half seconds, in parts of what the effect changes."""
+    found = simulated(add_effect(carts(dt=dt), name, **CASES[name][0]))[round(0.5 / dt) - 1 :: round(0.5 / dt)]
+    moved = np.abs(solved(name) - solved(None)).max()
+    assert moved > 0.1, "this record says nothing about the effect"
+    return float(np.abs(found - solved(name)).max() / moved)
+
+
+def effect(name: str, physics: Physics) -> Effect:
+    return next(one for one in generic_effects(physics) if one.name == name)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_an_effect_is_what_its_equation_says(name):
+    coarse, fine = error(name, 0.05), error(name, 0.025)
+    assert coarse < (0.02 if name == "coulomb_friction" else 0.005)
+    assert fine < coarse / 3.5 or fine < 1e-5 or name == "coulomb_friction", "of second order but where motions stop"
+
+
+@pytest.mark.parametrize("name", CASES)
+@settings(max_examples=5, deadline=None)
+@given(unit=st.floats(1e-3, 1e3))
+def test_units_change_no_answer(name, unit):
+    """The same numbers in other units move the same carts, and fits begin at the same ones."""
+    with jax.enable_x64(True):
+        one, other = effect(name, carts()), effect(name, carts(unit))
+        span = np.array([[-0.4, 0.1, -1.0, -0.6, -0.7], [0.9, 2.0, 0.8, 0.5, 0.9]])
+        here, there = (SignalRange(s * span, np.zeros((2, 1)), s * span[:, :2]) for s in (1.0, unit))
+        for given_, rescaled in zip(one.guesses(here), other.guesses(there), strict=True):
+            for key, value in given_.items():
+                np.testing.assert_allclose(rescaled[key], in_unit(name, given_, unit)[key], rtol=1e-12)
+                low, high = one.parameters[key].bounds
+                assert np.all((value >= low) & (value <= high) & (value != one.parameters[key].neutral))
+        numbers = {key: np.array(value) for key, value in CASES[name][0].items()}
+        found = simulated(add_effect(carts(unit), other, **in_unit(name, numbers, unit)), unit=unit)
+        expected = unit * simulated(add_effect(carts(), one, **numbers))
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10 * unit)
+
+
+def in_unit(name: str, numbers: Any, unit: float) -> dict[str, Any]:
+    if name == "power_law":
+        return {"c": numbers["c"] * unit ** (1.0 - numbers["n"]), "n": numbers["n"]}
+    return {key: value * unit ** POWERS[name] for key, value in numbers.items()}
+
+
+def test_numbers_have_the_units_of_the_states():
+    alone = carts()._replace(states=carts().states[:3])
+    units = {one.name: next(iter(one.parameters.values())).unit for one in generic_effects(alone)}
+    assert units == {
+        "viscous_friction": "1/s", "coulomb_friction": "m/s^2", "quadratic_drag": "1/m", "linear_spring": "1/s^2",
+        "cubic_spring": "1/(s^2 m^2)", "constant_force": "m/s^2", "leak": "1/s", "inflow": "V/s", "power_law": "",
+    }  # fmt: skip
+    assert effect("coulomb_friction", carts()).parameters["a"].unit == ""  # the other cart's is not known
+    assert "speed, rate" in effect("coulomb_friction", carts()).equation
+
+
+def test_steps_with_every_effect_are_written_out_in_numbers():
+    physics = carts()
+    whole = add(physics, *generic_effects(physics))
+    assert written_out(lambda x, u: whole.step(whole.params, x, u), (5, 1), 1) is not None
+
+
+@pytest.mark.parametrize("n", [0.3, 0.999, 1.0, 1.001, 2.0, 4.0])
+def test_a_power_law_alone_is_its_solution_and_empties_at_most(n):
+    still = carts()._replace(step=lambda p, x, u: x, extension=None)
+    physics = add_effect(still, "power_law", c=0.7, n=n)
+    params, h, c = jax.tree.map(jnp.asarray, physics.params), 0.05, 0.7
+    for level in (-3.0, -1e-3, 0.0, 1e-6, 0.02, 5.0):
+        found = physics.step(params, jnp.zeros(5).at[1].set(level), jnp.zeros(1))[1]
+        left = abs(level) ** (1 - n) - (1 - n) * c * h if level and n != 1 else np.inf
+        expected = np.exp(-c * h) * abs(level) if n == 1 or not level else max(left, 0.0) ** (1 / (1 - n))
+        np.testing.assert_allclose(found, np.sign(level) * expected, rtol=1e-7, atol=1e-9)
+
+
+def test_friction_stops_a_cart_and_never_turns_it_around():
+    physics = add_effect(carts(), "coulomb_friction", a=100.0)
+    found = simulated(physics, np.array([0.1, 0.0, 0.5, 0.2, -0.5]))
+    np.testing.assert_array_equal(found[:, [2, 4]], 0.0)
+    np.testing.assert_allclose(found[:, [0, 3]], [0.1, 0.2] * np.ones((len(found), 1)), atol=0.2)
+
+
+def test_the_catalogue_of_a_users_physics_has_what_its_states_allow():
+    def names(physics: Physics) -> list[str]:
+        return [one.name for one in catalogue(physics)]
+
+    assert names(carts())[: len(CASES)] == FORCES + FLOWS
+    states = carts().states
+    assert not set(FLOWS) & set(names(carts()._replace(states=(states[0], *states[2:]))))
+    assert not set(FORCES) & set(names(carts()._replace(states=tuple(Signal(s.name) for s in states))))
+    without_position = carts()._replace(states=states[1:])  # of the first cart, whose way is measured
+    assert effect("viscous_friction", without_position).shapes == {"c": (2,)}
+    assert effect("linear_spring", without_position).shapes == {"k": (1,)}
+    for physics in (cascaded_tanks(), lgssm(), arm()):
+        assert not {"quadratic_drag", "linear_spring", "constant_force", "leak", "inflow"} & set(names(physics))
+
+
+def test_another_physics_or_sample_time_is_refused():
+    one = effect("viscous_friction", carts())
+    with pytest.raises(ValueError, match="viscous_friction: expected the states way, level, speed, other, rate and dt"):
+        add_effect(cascaded_tanks(), one)
+    with pytest.raises(ValueError, match="and dt=0.05 s, found physics 'carts'"):
+        add_effect(carts(dt=0.1), one)
