@@ -30,15 +30,14 @@ Flow = Callable[[Any, float, jax.Array, jax.Array], jax.Array]
 
 
 class Law(NamedTuple):
-    """flow(n, h, v, q): v after h seconds of this effect alone, from its numbers. unit: of `meaning`, {v} and {q} being
-    those of velocity and position. scale: powers of the largest |v| and |q| in the data that the number has the unit
-    of; shares: of this scale, where fits begin."""
+    """flow(n, h, v, q): v after h seconds of this effect alone, from its numbers. meaning: of its number, whose name
+    is the symbol; {v} and {q} in the unit are those of velocity and position. scale: powers of the largest |v| and |q|
+    in the data that make this unit; shares: of that scale, where fits begin."""
 
     name: str
     title: str
     equation: str
     cause: str
-    key: str
     meaning: Parameter
     scale: tuple[int, int]
     shares: tuple[float, ...]
@@ -52,7 +51,6 @@ _FORCES = (
         "Viscous friction",
         "dv/dt = ... - c v",
         "lubricant or air brakes the motion in proportion to its speed, beyond what is known",
-        "c",
         Parameter("c", "1/s", bounds=_POSITIVE, neutral=0.0),
         (1, -1),
         _LOSS,
@@ -63,7 +61,6 @@ _FORCES = (
         "Coulomb friction",
         "dv/dt = ... - a sign(v)",
         "dry friction brakes the motion at any speed",
-        "a",
         Parameter("a", "{v}/s", bounds=_POSITIVE, neutral=0.0),
         (2, -1),
         _LOSS,
@@ -74,7 +71,6 @@ _FORCES = (
         "Quadratic drag",
         "dv/dt = ... - c |v| v",
         "a fluid around the body brakes it with the square of its speed",
-        "c",
         Parameter("c", "1/{q}", bounds=_POSITIVE, neutral=0.0),
         (0, -1),
         _LOSS,
@@ -85,7 +81,6 @@ _FORCES = (
         "Spring",
         "dv/dt = ... - k q",
         "a spring pulls the body to the zero of its position",
-        "k",
         Parameter("k", "1/s^2", bounds=_POSITIVE, neutral=0.0),
         (2, -2),
         _LOSS,
@@ -96,7 +91,6 @@ _FORCES = (
         "Spring that hardens or softens",
         "dv/dt = ... - k q³",
         "a spring is not linear: its force grows faster than the way (k > 0) or more slowly (k < 0)",
-        "k",
         Parameter("k", "1/(s^2 {q}^2)", neutral=0.0),
         (2, -4),
         _EITHER_SIGN,
@@ -107,7 +101,6 @@ _FORCES = (
         "Constant force",
         "dv/dt = ... + a",
         "a weight, a tilted base or a preload pulls with the same force all the time",
-        "a",
         Parameter("a", "{v}/s", neutral=0.0),
         (2, -1),
         _EITHER_SIGN,
@@ -134,7 +127,6 @@ _FLOWS = (
         "Leak",
         "dx/dt = ... - r x",
         "something is lost in proportion to what is there: a leak, a heat loss, a discharge",
-        "r",
         Parameter("r", "1/s", bounds=_POSITIVE, neutral=0.0),
         (0, 0),
         (0.003, 0.03),
@@ -145,7 +137,6 @@ _FLOWS = (
         "Constant inflow",
         "dx/dt = ... + f",
         "something comes in (f > 0) or is taken (f < 0) all the time",
-        "f",
         Parameter("f", "{v}/s", neutral=0.0),
         (1, 0),
         (0.01, -0.01),
@@ -157,12 +148,14 @@ _POWER_LAW = Law(
     "Loss by a power law",
     "dx/dt = ... - c |x|^n sign(x)",
     "something is lost by a law that is not proportional: an orifice (n = 1/2), radiation (n = 4)",
-    "c",
     Parameter("c", "", bounds=_POSITIVE, neutral=0.0),
     (1, 0),
     (0.01,),
     _powers,
 )
+
+
+_AS_AN_OFFSET = ("constant_force", "inflow")  # where an input acts on this state alone, they are one
 
 
 class Place(NamedTuple):
@@ -206,7 +199,7 @@ def _velocity(physics: Physics, i: int) -> Place | None:
 def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> Effect:
     at = [place.state for place in places]
     positions = [j if kind == "x" else i for i, (kind, j) in places]  # no state: a law that needs none
-    names, dt = [state.name for state in physics.states], physics.dt
+    names, dt = [state.name for state in physics.states if state.memory_of is None], physics.dt
     acted = ", ".join(names[i] for i in at)
 
     def half(n: Any, x: jax.Array) -> jax.Array:
@@ -225,21 +218,22 @@ def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> E
     def initial_guesses(span: SignalRange) -> list[Numbers]:
         v, q = _largest(span, [("x", place.state) for place in places]), _largest(span, [p.position for p in places])
         scale = v ** law.scale[0] * q ** law.scale[1] / (1.0 if channels == "velocity" else dt)
-        return [{law.key: share * scale} for share in law.shares]
+        return [{law.meaning.symbol: share * scale} for share in law.shares]
 
     return Effect(
         law.name,
-        {law.key: law.meaning._replace(unit=_unit(law.meaning.unit, physics, places))},
+        {law.meaning.symbol: law.meaning._replace(unit=_unit(law.meaning.unit, physics, places))},
         wrap,
         title=law.title,
         equation=f"{law.equation}   ({'v' if channels == 'velocity' else 'x'}: {acted})",
         cause=law.cause,
-        shapes={law.key: (len(at),)},
+        shapes={law.meaning.symbol: (len(at),)},
         initial_guesses=initial_guesses,
         needs=Needs(
             f"the states {', '.join(names)} and dt={dt:g} s",
             lambda other: [state.name for state in other.states[: len(names)]] == names and other.dt == dt,
         ),
+        simpler=("input_offset",) if law.name in _AS_AN_OFFSET else (),
         channels=channels,
     )
 

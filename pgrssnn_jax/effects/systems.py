@@ -64,8 +64,9 @@ def add_effect(physics: Physics, effect: Effect | str, /, **numbers: Any) -> Phy
     not given, is neutral. Raises `ValueError` for an unknown name, an effect that the physics cannot take or already
     has, and for numbers that are not the effect's.
     """
-    one = _named(physics, effect) if isinstance(effect, str) else effect
-    return add(physics, one, numbers={one.name: _numbers(one, numbers)})
+    if isinstance(effect, str):
+        return add_named(physics, {effect: numbers})
+    return add_named(physics, {effect.name: numbers}, [effect])
 
 
 def add_named(physics: Physics, numbers: Mapping[str, Numbers], extra: Sequence[Effect] = ()) -> Physics:
@@ -73,21 +74,18 @@ def add_named(physics: Physics, numbers: Mapping[str, Numbers], extra: Sequence[
 
     extra: effects beside those of the catalogue. Raises `ValueError` for a name that is in neither.
     """
-    chosen = [_named(physics, name, extra) for name in numbers]
-    return add(physics, *chosen, numbers={effect.name: _numbers(effect, numbers[effect.name]) for effect in chosen})
+    known = {effect.name: effect for effect in (*_of_system(physics), *extra)}
+    for name in numbers:
+        if name not in known:
+            raise ValueError(f"effects: expected some of {list(known)} of physics {physics.name!r}, found {name!r}")
+    filled = {name: _numbers(known[name], given) for name, given in numbers.items()}
+    return add(physics, *(known[name] for name in numbers), numbers=filled)
 
 
 def in_catalogue_order(physics: Physics, names: Iterable[str]) -> list[str]:
     """The order in which discovery adds effects: that of the catalogue, then those that are not in it."""
     known = [effect.name for effect in _of_system(physics)]
     return sorted(names, key=lambda name: known.index(name) if name in known else len(known))
-
-
-def _named(physics: Physics, name: str, extra: Sequence[Effect] = ()) -> Effect:
-    known = {effect.name: effect for effect in (*_of_system(physics), *extra)}
-    if name not in known:
-        raise ValueError(f"effects: expected some of {list(known)} of physics {physics.name!r}, found {name!r}")
-    return known[name]
 
 
 def _numbers(effect: Effect, given: Numbers) -> dict[str, Any]:

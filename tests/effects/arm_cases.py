@@ -1,0 +1,67 @@
+"""Numbers for every effect of an arm, and compiled steps of the arm with one of them."""
+
+from functools import cache
+from typing import Any
+
+import jax
+import numpy as np
+from toys import quick_jit
+
+from pgrssnn_jax.effects.arm import arm_effects
+from pgrssnn_jax.effects.base import Effect, add
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.base import Physics
+
+DT = 0.01  # s, of one Euler step, which shows the acceleration
+MASSES = {"payload", "rotor_inertia", "gravity_direction"}
+SPEED = np.linspace(0.01, 0.4, 6)
+NUMBERS: dict[str, dict[str, Any]] = {
+    "torque_gain": {"gain": np.linspace(0.8, 1.2, 6)},
+    "wrist_coupling": {"c45": 0.1, "c46": -0.2, "c56": 0.3},
+    "torque_bias": {"theta": np.linspace(-4.0, 5.0, 6)},
+    "gravity_counterbalance": {"moment": 300.0, "angle": 0.4},
+    "viscous_friction": {"B": np.linspace(0.0, 0.01, 6)},
+    "coulomb_friction": {"Tc": np.linspace(0.1, 0.4, 6)},
+    "stribeck_friction": {"torque": np.linspace(0.3, 0.1, 6), "speed": 0.2},
+    "payload": {"mass": 40.0, "distance": 0.3},
+    "rotor_inertia": {"J": np.linspace(1e-3, 2e-3, 6)},
+    "gravity_direction": {"about_x": 0.1, "about_y": -0.2},
+    "joint_limit": {"lower": np.full(6, -0.4), "upper": np.linspace(0.1, 0.6, 6)},
+    "stiction": {"speed": SPEED},
+    "velocity_disturbance": {"S": np.linspace(-0.2, 0.2, 6)},
+    "home_offset": {"offset": np.linspace(-0.1, 0.1, 6)},
+}
+NAMES = set(NUMBERS)
+
+
+def samples(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """States, some beyond the limits, the first at rest at zero; motor torques."""
+    draw = np.random.default_rng(seed)
+    x, u = draw.uniform(-1.5, 1.5, (count, 12)), 3.0 * draw.normal(size=(count, 6))
+    x[0] = 0.0
+    return x, u
+
+
+def effect(name: str) -> Effect:
+    return next(e for e in arm_effects(arm()) if e.name == name)
+
+
+def changed(name: str, physics: Physics, neutral: bool = False) -> Physics:
+    return add(physics, effect(name), numbers=None if neutral else {name: NUMBERS[name]})
+
+
+@cache
+def mapped(name: str | None, backend: str = "pinocchio", neutral: bool = False, euler: bool = False):
+    """(x, u) `[batch, ...]` to the next states and their outputs. Pinocchio's backend compiles in no time."""
+    physics = arm(backend=backend, **({"integrator": "euler", "dt": DT, "limits": False} if euler else {}))
+    physics = physics if name is None else changed(name, physics, neutral)
+
+    def both(x, u):
+        new = physics.step(physics.params, x, u)
+        return new, physics.measure(physics.params, new, u)
+
+    return quick_jit(jax.vmap(both))
+
+
+def backend_of(name: str) -> str:
+    return "jax" if name in MASSES else "pinocchio"
