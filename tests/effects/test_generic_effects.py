@@ -200,6 +200,12 @@ def test_the_catalogue_of_a_users_physics_has_what_its_states_allow():
     without_position = carts()._replace(states=states[1:])  # of the first cart, whose way is measured
     assert effect("viscous_friction", without_position).shapes == {"c": (2,)}
     assert effect("linear_spring", without_position).shapes == {"k": (1,)}
+    chain = tuple(
+        Signal(s, rate_of=of) for s, of in (("q", None), ("v", "q"), ("thrust", "v"), ("a", None), ("b", None))
+    )
+    found = carts()._replace(states=chain)  # a rate of a rate is no velocity: a force acts on v
+    assert effect("quadratic_drag", found).equation.endswith("(v: v)")
+    assert effect("leak", found).equation.endswith("(x: a, b)")
     for physics in (cascaded_tanks(), lgssm(), arm()):
         assert not {"quadratic_drag", "linear_spring", "constant_force", "leak", "inflow"} & set(names(physics))
 
