@@ -23,7 +23,6 @@ from jaxtyping import Float
 from pgrssnn_jax.physics.arms.tables import ArmTables, described, pinocchio_model
 
 SAMPLE_TIME = 0.1  # s
-JOINTS = 6
 _FASTEST = 0.135  # Hz, of a plan: rms speed / position 0.5 and acceleration / speed 0.7 rad/s, as measured
 _RAMP = 0.12  # share of the time at either end in which w rises and falls
 _REACH = (0.3, 0.9)  # share of the range of positions that a plan uses

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pgrssnn_jax.records.arguments import check_count
-from pgrssnn_jax.records.record import Record, continues, crop, join, stack, take, windows
+from pgrssnn_jax.records.record import Record, continues, crop, join, map_signals, stack, take, windows
 
 _TAIL = 4  # one part in so many of a record validates where nothing else is said
 
@@ -101,8 +101,8 @@ def cut_windows(train: Record, length: int) -> Record:
     if not train.info.padded:
         return cut
     used = np.any(cut.mask, axis=(0, 2, 3))
-    return cut._replace(u=cut.u[:, used], y=cut.y[:, used], mask=cut.mask[:, used])
+    return map_signals(cut, lambda signal: signal[:, used])
 
 
 def _sequences(whole: Record, which: slice) -> Record:
-    return whole._replace(u=whole.u[..., which, :, :], y=whole.y[..., which, :, :], mask=whole.mask[..., which, :, :])
+    return map_signals(whole, lambda signal: signal[..., which, :, :])
