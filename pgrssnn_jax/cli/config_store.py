@@ -37,6 +37,8 @@ def register() -> None:
     """Must run before a configuration is composed; a second call changes nothing."""
     OmegaConf.register_new_resolver("after_discovery", _chosen, replace=True)
     store = ConfigStore.instance()
+    # Hydra copies this singleton for every group that --help lists, which takes longer than all else
+    ConfigStore.__deepcopy__ = lambda self, _: self  # pyright: ignore[reportAttributeAccessIssue]
     model = {**asdict(ModelSpec()), **_nested(DEFAULT)["model"]}
     for name, changes in VARIANTS.items():
         store.store(name, {"name": name, **model, **changes}, group="model")
