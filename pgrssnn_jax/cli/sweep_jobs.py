@@ -31,7 +31,7 @@ from pgrssnn_jax.cli.process import BAD_INPUT, Interrupted, say
 from pgrssnn_jax.cli.resume import override
 from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
-from pgrssnn_jax.training.run_lock import held
+from pgrssnn_jax.training.run_lock import locked
 
 
 class Job(NamedTuple):
@@ -160,7 +160,7 @@ def run_job(prepare: Callable[[Any], Any], config: Any, stop: threading.Event) -
     def show(line: str) -> None:
         console.print(line, soft_wrap=True)
 
-    with held(run.path, stop, show):
+    with locked(run.path, stop, show):
         _unless(stop)
         try:
             there = job_status(run, plain_config(config))

@@ -51,8 +51,6 @@ def map_members(one: Callable[..., Any], mapping: MemberMapping) -> Callable[...
     """
     if not 1 <= mapping.devices <= jax.device_count():
         raise ValueError(f"members: devices: expected 1 to {jax.device_count()}, found {mapping.devices}")
-    if mapping.how not in ("vmap", "loop"):
-        raise ValueError(f"members: how: expected vmap or loop, found {mapping.how!r}")
     if mapping.sub_batch is not None and mapping.sub_batch < 1:
         raise ValueError(f"members: sub_batch: expected at least 1, found {mapping.sub_batch}")
     if mapping.optimisation not in (None, 0, 1, 2, 3):

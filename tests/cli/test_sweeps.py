@@ -20,7 +20,7 @@ from pgrssnn_jax.cli.resume import override
 from pgrssnn_jax.cli.sweep_jobs import launcher_env, name_sweep
 from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder
-from pgrssnn_jax.training.run_lock import held
+from pgrssnn_jax.training.run_lock import locked
 
 TABLES = {
     "table1_tank": ("cascaded_tank", 12),
@@ -165,18 +165,18 @@ def test_one_process_at_a_time_in_a_folder(tmp_path):
     stop, inside = threading.Event(), threading.Event()
 
     def second() -> None:
-        with held(tmp_path / "run", stop, order.append):
+        with locked(tmp_path / "run", stop, order.append):
             order.append("second")
             inside.set()
 
-    with held(tmp_path / "run", stop, order.append):
+    with locked(tmp_path / "run", stop, order.append):
         thread = threading.Thread(target=second)
         thread.start()
         assert not inside.wait(0.5)
         order.append("first")
     thread.join(20)
     assert order == ["waiting for another process that works in run", "first", "second"]
-    with held(tmp_path / "run", threading.Event(), order.append):
+    with locked(tmp_path / "run", threading.Event(), order.append):
         stop.set()
         second()
     assert order[3:] == ["second"]
