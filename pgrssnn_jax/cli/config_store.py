@@ -19,14 +19,7 @@ from pgrssnn_jax.effects.stored import plain
 from pgrssnn_jax.models.spec import VARIANTS, ModelSpec
 from pgrssnn_jax.physics.library import builder
 from pgrssnn_jax.training.recipes import DEFAULT, PROOF, RECIPES, Recipe
-from pgrssnn_jax.training.settings import (
-    GROUP_OF,
-    GROUPS,
-    DataSettings,
-    FitSettings,
-    MemberSettings,
-    RunSettings,
-)
+from pgrssnn_jax.training.settings import GROUP_OF, GROUPS, DataSettings, FitSettings, MemberSettings, RunSettings
 
 _PHYSICS = {"tanks": "cascaded_tanks", "lgssm": "lgssm", "arm": "arm"}
 #: benchmarks whose test record starts where the training record does

@@ -10,14 +10,15 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
-from hydra.core.utils import JobReturn, JobStatus
+from hydra.core.utils import JobReturn, JobStatus, env_override
 from hydra.errors import HydraException
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext
@@ -28,8 +29,8 @@ from rich.console import Console
 from pgrssnn_jax.acceleration.devices import usable_cores
 from pgrssnn_jax.cli.plan import plain_config
 from pgrssnn_jax.cli.process import BAD_INPUT, Interrupted, say
-from pgrssnn_jax.cli.resume import override
-from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
+from pgrssnn_jax.cli.resume import key_of, override
+from pgrssnn_jax.cli.sweeps import JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
 from pgrssnn_jax.training.run_lock import locked
 
@@ -41,38 +42,33 @@ class Job(NamedTuple):
     folder: Path
 
 
-class Sweep(NamedTuple):
-    """What Hydra hands to a sweeper; config: as composed without what is swept."""
-
-    config: DictConfig
-    context: HydraContext
-    launcher: Launcher
-    batch_size: int | None
-
-
-def run_sweep(sweep: Sweep, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
+def run_sweep(sweeper: BasicSweeper, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
     """Runs the jobs that are not finished, shows how all ended, and exits with code 2 when one failed.
 
     parsed: the overrides of the whole sweep; combinations: those of each job.
     """
+    config, context, launcher = sweeper.config, sweeper.hydra_context, sweeper.launcher
+    assert config is not None
+    assert context is not None
+    assert launcher is not None
     console = Console(highlight=False)
     try:
-        spelled = name_sweep(parsed, sweep.config)
+        spelled = name_sweep(parsed, config)
     except ValueError as problem:
         sys.exit(say(str(problem)))
-    folder = Path(sweep.config.hydra.sweep.dir).absolute()
+    folder = Path(config.hydra.sweep.dir).absolute()
     jobs = {job.folder: job for job in (_job(overrides, spelled, folder) for overrides in combinations)}
-    known = {path: _beforehand(job, sweep) for path, job in jobs.items()}
+    known = {path: _beforehand(job, config, context) for path, job in jobs.items()}
     outcomes = {path: outcome for path, outcome in known.items() if outcome is not None}
     for outcome in outcomes.values():
         console.print(f"{outcome.status}: {short_path(outcome.folder)} {outcome.reason}".rstrip(), soft_wrap=True)
     waiting = [job for path, job in jobs.items() if path not in outcomes]
     returns: list[JobReturn] = []
-    size = sweep.batch_size or max(1, len(waiting))
+    size = sweeper.max_batch_size or max(1, len(waiting))
     for start in range(0, len(waiting), size):
         batch = waiting[start : start + size]
-        with launcher_env(sweep.config, len(batch)):
-            returned, problem = _launched(sweep.launcher, batch, start)
+        with launcher_env(config, len(batch)):
+            returned, problem = _launched(launcher, batch, start)
         returns += returned
         for job, back in zip(batch, returned or [None] * len(batch), strict=True):
             outcomes[job.folder] = _outcome(job, back, problem)
@@ -108,15 +104,11 @@ def _job(overrides: Sequence[str], spelled: set[str], folder: Path) -> Job:
     return Job([*overrides, *there], folder / name)
 
 
-def key_of(text: str) -> str:
-    return text.split("=")[0].lstrip("+~")
-
-
-def _beforehand(job: Job, sweep: Sweep) -> JobResult | None:
+def _beforehand(job: Job, master: DictConfig, context: HydraContext) -> JobResult | None:
     """How a job ends that need not be launched: it is finished, or its configuration does not do."""
     run = RunFolder(job.folder)
     try:
-        config = sweep.context.config_loader.load_sweep_config(sweep.config, list(job.overrides))
+        config = context.config_loader.load_sweep_config(master, list(job.overrides))
         own = {key_of(name) for name in config.hydra.sweeper.params or {}} - {key_of(text) for text in job.overrides}
         if own:
             raise ValueError(
@@ -125,7 +117,7 @@ def _beforehand(job: Job, sweep: Sweep) -> JobResult | None:
             )
         with open_dict(config):
             del config["hydra"]
-        finished = job_status(run, plain_config(config)) is JobProgress.FINISHED
+        finished = job_status(run, plain_config(config)) == "finished"
     except (ValueError, HydraException, OmegaConfBaseException) as problem:
         return _failed(run, _sentence(problem))
     return JobResult(run.path, "skipped") if finished else None
@@ -166,12 +158,12 @@ def run_job(prepare: Callable[[Any], Any], config: Any, stop: threading.Event) -
             there = job_status(run, plain_config(config))
         except ValueError as problem:
             return _failed(run, str(problem))
-        if there is JobProgress.FINISHED:
+        if there == "finished":
             return JobResult(run.path, "skipped")
         run.forget_failure()
-        if there is JobProgress.BEGUN:
+        if there == "begun":
             config.resume = str(run.path)
-        show(f"{'going on with' if there is JobProgress.BEGUN else 'beginning'} {short_path(run.path)}")
+        show(f"{'going on with' if there == 'begun' else 'beginning'} {short_path(run.path)}")
         work = None
         try:
             work = prepare(config)
@@ -206,29 +198,20 @@ def _sentence(problem: BaseException) -> str:
     return type(problem).__name__
 
 
-@contextmanager
-def launcher_env(config: DictConfig, jobs: int) -> Iterator[None]:
+def launcher_env(config: DictConfig, jobs: int) -> AbstractContextManager[None]:
     """What the processes of a launcher on this machine inherit: their share of the cores, plain lines instead of
     progress bars, and where Hydra finds this package's sweeper. The user's own settings win."""
     workers = {"basic": 0, "joblib": config.hydra.launcher.get("n_jobs"), "submitit_local": jobs}.get(
         str(config.hydra.runtime.choices.get("hydra/launcher"))
     )
-    changed: dict[str, str] = {}
+    env: dict[str, str] = {}
     if workers:
         cores = usable_cores()
         at_once = min(jobs, workers if workers > 0 else max(1, cores + 1 + workers))
         share = str(max(1, cores // at_once))
-        changed = {"JAX_NUM_CPU_DEVICES": share, "NPROC": share, "TTY_COMPATIBLE": "0"}
+        env = {"JAX_NUM_CPU_DEVICES": share, "NPROC": share, "TTY_COMPATIBLE": "0"}
+        env = {name: value for name, value in env.items() if not os.environ.get(name)}
     if workers != 0:
-        here = str(Path(__file__).resolve().parent.parent)
-        changed["PYTHONPATH"] = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
-    before = {name: os.environ.get(name) for name in changed}
-    os.environ.update({name: value for name, value in changed.items() if name == "PYTHONPATH" or not before[name]})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        here = str(Path(__file__).resolve().parents[2])
+        env["PYTHONPATH"] = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
+    return env_override(env)
