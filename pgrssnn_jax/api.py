@@ -97,11 +97,7 @@ def fit(
 
 
 def finished(
-    plan: Plan,
-    state: Any,
-    losses: Any,
-    seconds: Mapping[str, float],
-    labels: Mapping[str, str | None] | None = None,
+    plan: Plan, state: Any, losses: Any, seconds: Mapping[str, float], labels: Mapping[str, str | None] | None = None
 ) -> Ensemble:
     """The result of a training run; labels: names of the configuration's files, where there were any."""
     return Ensemble(

@@ -75,12 +75,7 @@ def _physics_step(model: Model, params: ModelParams, x: jax.Array, u: jax.Array)
 
 
 def _fused(
-    model: Model,
-    params: ModelParams,
-    networks: Networks | None,
-    u: jax.Array,
-    x0: jax.Array,
-    held: jax.Array | None,
+    model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array, held: jax.Array | None
 ) -> jax.Array:
     """x `[time, seq, x]` by one scan; the carry is one packed array `[seq, x + layers · hidden]`."""
     n_x, hidden = model.n_x, model.spec.hidden
@@ -108,12 +103,7 @@ def _fused(
 
 
 def _split(
-    model: Model,
-    params: ModelParams,
-    networks: Networks | None,
-    u: jax.Array,
-    x0: jax.Array,
-    held: jax.Array | None,
+    model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array, held: jax.Array | None
 ) -> jax.Array:
     """x `[time, seq, x]` with everything but the two recurrences batched over time."""
     if networks is None:

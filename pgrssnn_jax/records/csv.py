@@ -21,12 +21,7 @@ _TOLERANCE = 0.01  # of dt: clocks and rounded time stamps are no better
 
 
 def read_csv(
-    path: str | Path,
-    inputs: Sequence[Channel],
-    outputs: Sequence[Channel],
-    dt: float,
-    *,
-    start: Start = "unknown",
+    path: str | Path, inputs: Sequence[Channel], outputs: Sequence[Channel], dt: float, *, start: Start = "unknown"
 ) -> Record:
     """u `[seq, time, u]` and y `[seq, time, y]` in float64, sampled every `dt` seconds.
 

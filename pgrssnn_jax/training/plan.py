@@ -14,7 +14,7 @@ from pgrssnn_jax.physics.base import Physics, Signal, measured_rate
 from pgrssnn_jax.records.matching import matched
 from pgrssnn_jax.records.record import Record, cast, take
 from pgrssnn_jax.records.scaling import Units, in_units, measured_units, standard_units
-from pgrssnn_jax.records.splits import KFold, by_dataset, cut_windows, estimation_parts, kfold_masks
+from pgrssnn_jax.records.splits import by_dataset, cut_windows, estimation_parts, kfold_masks
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, map_members
 from pgrssnn_jax.training.objective import MemberData, Objective, build_objective
 from pgrssnn_jax.training.optimise import Fit
@@ -168,10 +168,10 @@ def _per_member(
 ) -> tuple[Record, Record]:
     datasets = np.array([member.dataset for member in members])
     train, validation = take(train, datasets), take(validation, datasets)
-    folds = KFold(settings.data.folds, settings.data.block)
-    if not folds.folds:
+    if not settings.data.folds:
         return train, validation
-    return kfold_masks(train, validation, [member.seed for member in members], folds)
+    seeds = [member.seed for member in members]
+    return kfold_masks(train, validation, seeds, settings.data.folds, settings.data.block)
 
 
 def _windows_to_report(initial: InitialState, wanted: Sequence[int], test: Record) -> list[int]:
