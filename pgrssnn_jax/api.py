@@ -20,6 +20,7 @@ from rich.console import Console
 
 from pgrssnn_jax.acceleration.devices import keep_compiled
 from pgrssnn_jax.data.benchmarks import load_benchmark
+from pgrssnn_jax.data.sources import channels
 from pgrssnn_jax.discovery.card import discovery_arrays, discovery_json
 from pgrssnn_jax.discovery.network import network_shares, plan_network
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -36,7 +37,7 @@ from pgrssnn_jax.physics.simulate import free_run
 from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.records.build import record_from as record
 from pgrssnn_jax.records.csv import read_csv as _read_csv
-from pgrssnn_jax.records.record import Array, Channel, Record, Start
+from pgrssnn_jax.records.record import Array, Record, Start
 from pgrssnn_jax.reports.discovered import Discovered
 from pgrssnn_jax.reports.ensemble import Ensemble
 from pgrssnn_jax.reports.saved import load
@@ -101,15 +102,9 @@ def finished(
 ) -> Ensemble:
     """The result of a training run; labels: names of the configuration's files, where there were any."""
     return Ensemble(
-        plan.settings,
-        trained_members(plan, state),
-        losses,
-        plan.train.info,
-        n_train=plan.train.u.shape[2],
-        seconds=seconds,
-        plan=plan,
-        labels=labels,
-    )
+        plan.settings, trained_members(plan, state), losses, plan.train.info,
+        n_train=plan.train.u.shape[2], seconds=seconds, plan=plan, labels=labels,
+    )  # fmt: skip
 
 
 def discover(
@@ -177,8 +172,7 @@ def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") ->
 
     start: what is known of the initial state. Raises `ValueError` with file, line and column for a file that does not
     fit."""
-    inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (physics.inputs, physics.outputs))
-    return _read_csv(path, inputs, outputs, physics.dt, start=start)
+    return _read_csv(path, channels(physics.inputs), channels(physics.outputs), physics.dt, start=start)
 
 
 def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
