@@ -110,7 +110,10 @@ def _split(
         correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
     else:
         phi = networks.features_u(params.scaling.u.to_scaled(u))
-        h_before = gru_states_before(networks, phi) if len(networks.gru) else None
+        states = phi
+        for layer in networks.gru:
+            states = layer.scan(layer.project(states))
+        h_before = delayed(states) if len(networks.gru) else None
         correction = params.scaling.x.unscale_difference(networks.f_nn(h_before, phi))
     if not model.spec.guided:
         return correction
@@ -125,14 +128,6 @@ def _split(
 
 def _hold(held: list[jax.Array], old: jax.Array, new: jax.Array) -> jax.Array:
     return jnp.where(held[0][:, None], old, new) if held else new
-
-
-def gru_states_before(networks: Networks, phi: Float[jax.Array, "time seq hidden"]) -> jax.Array:
-    """h_{t-1} of the last layer, `[time, seq, hidden]`; each layer's input projection is batched over time."""
-    states = phi
-    for layer in networks.gru:
-        states = layer.scan(layer.project(states))
-    return delayed(states)
 
 
 def _measure(model: Model, params: ModelParams, networks: Networks | None, x: jax.Array, u: jax.Array) -> jax.Array:

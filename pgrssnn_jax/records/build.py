@@ -1,13 +1,11 @@
 """A record from arrays in memory."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Start, padded, record
-
-_STARTS = ("unknown", "rest", "shared")
 
 
 def record_from(
@@ -30,8 +28,8 @@ def record_from(
     """
     if not dt > 0:
         raise ValueError(f"record: dt: expected a positive sample time in seconds, found {dt}")
-    if start not in _STARTS:
-        raise ValueError(f"record: start: expected one of {list(_STARTS)}, found {start!r}")
+    if start not in get_args(Start):
+        raise ValueError(f"record: start: expected one of {list(get_args(Start))}, found {start!r}")
     for name, named in (("inputs", inputs), ("outputs", outputs)):
         if not isinstance(named, Mapping):
             raise ValueError(f"record: {name}: expected names with units, {{'pump_voltage': 'V'}} say, found {named!r}")

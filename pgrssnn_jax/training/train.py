@@ -15,8 +15,6 @@ from pgrssnn_jax.training.members import jit_members, keys_of
 from pgrssnn_jax.training.optimise import MemberState
 from pgrssnn_jax.training.plan import Plan
 
-OnChunk = Callable[[MemberState, Losses, Progress], Any]
-
 
 def first_checkpoint(plan: Plan) -> Checkpoint:
     """Fresh members before their first epoch."""
@@ -25,7 +23,11 @@ def first_checkpoint(plan: Plan) -> Checkpoint:
 
 
 def train_members(
-    plan: Plan, first: Checkpoint, console: Console, stop: threading.Event, on_chunk: OnChunk
+    plan: Plan,
+    first: Checkpoint,
+    console: Console,
+    stop: threading.Event,
+    on_chunk: Callable[[MemberState, Losses, Progress], Any],
 ) -> Training:
     """Trains with a progress bar until the last epoch, or until `stop` is set; on_chunk: called after every chunk."""
     with _training_bar(console, plan.fit.settings.epochs) as show:
