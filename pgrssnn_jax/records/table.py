@@ -72,11 +72,15 @@ def numbers(table: Table, name: str, needed: Bool[np.ndarray, " rows"] | None = 
     """The column as finite float64 numbers; where `needed` is False an empty or infinite cell is allowed, and is 0."""
     values = np.zeros(len(table.lines))
     for row, cell in enumerate(column(table, name)):
-        value = _number(cell)
-        is_needed = needed is None or needed[row]
-        if value is None or (is_needed and not math.isfinite(value)):
+        value, allowed = math.nan, needed is not None and not needed[row]
+        try:
+            value = float(cell.replace("_", "text") or "nan")  # Python's own `1_000` is written by no other program
+        except ValueError:
+            allowed = False
+        if math.isfinite(value):
+            values[row] = value
+        elif not allowed:
             raise problem(table.file, table.lines[row], name, "a finite number", quoted_cell(cell))
-        values[row] = value if math.isfinite(value) else 0.0
     return values
 
 
@@ -86,16 +90,6 @@ def column(table: Table, name: str) -> list[str]:
         there = ", ".join(map(repr, table.columns)) or "no named column"
         raise problem(table.file, 1, name, "a column of this name", there)
     return table.columns[name]
-
-
-def _number(cell: str) -> float | None:
-    """None for text; NaN for an empty cell. Python's own `1_000` is text here: no other program writes it."""
-    if not cell:
-        return math.nan
-    try:
-        return None if "_" in cell else float(cell)
-    except ValueError:
-        return None
 
 
 def _read_bytes(path: str | Path) -> bytes:
