@@ -93,7 +93,7 @@ def fit(
             stop.set()
 
     first = first_checkpoint(plan)
-    done = train_members(plan, first, _console(quiet), stop, on_chunk)
+    done = train_members(plan, first, Console(quiet=quiet, highlight=False), stop, on_chunk)
     return finished(plan, done.state, done.losses, done.seconds)
 
 
@@ -127,12 +127,12 @@ def discover(
     settings: any of `discovery/settings.py` by name. Raises `ValueError` for bad input, before any work.
     """
     keep_compiled()
-    console = _console(quiet)
+    console = Console(quiet=quiet, highlight=False)
     chosen = call_with(DiscoverySettings, {**settings, "without": list(without)}, "discovery")
     training = _training("pg_rssnn", physics, train, None, {}, before=PROOF)
 
     def say(line: str) -> None:
-        console.print(line, soft_wrap=True, highlight=False)
+        console.print(line, soft_wrap=True)
 
     setup = set_up(
         physics, train, test, chosen, training,
@@ -207,9 +207,5 @@ def _training(
     if recipe == "experiment" and not train.info.benchmark:
         raise ValueError("recipe: expected None or 'default' for data that is no benchmark, found 'experiment'")
     own = DEFAULT if recipe == "default" else recipe_for(train.info.benchmark)
-    named = {name: value for name, value in given.items() if not (name == "n_seeds" and value is None)}
+    named = {name: value for name, value in given.items() if name != "n_seeds" or value is not None}
     return training_settings(model, before or {}, own.settings(discovered=physics.discovered), named)
-
-
-def _console(quiet: bool) -> Console:
-    return Console(quiet=quiet, highlight=False)

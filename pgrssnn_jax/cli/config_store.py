@@ -7,7 +7,7 @@ A value that depends on whether the physics comes from a discovery is written `$
 
 import inspect
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -65,7 +65,7 @@ def _nested(recipe: Recipe) -> dict[str, Any]:
     nested: dict[str, Any] = {}
     for name in {**usual, **after}:
         group = GROUP_OF[name]
-        value = usual.get(name, next(f.default for f in fields(GROUPS[group]) if f.name == name))
+        value = usual.get(name, getattr(GROUPS[group], name))  # a field's default is its class's attribute
         if name in after and after[name] != value:
             value = f"${{after_discovery:{_word(after[name])},{_word(value)}}}"
         place = nested if group == "run" else nested.setdefault(group, {})

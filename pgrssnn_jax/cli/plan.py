@@ -17,7 +17,7 @@ from pgrssnn_jax.physics.base import Origin, Physics
 from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
 from pgrssnn_jax.records.arguments import call_with
-from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.records.record import Record, Splits
 from pgrssnn_jax.training.settings import DataSettings
 
 _KEYS = {
@@ -51,15 +51,8 @@ def load_experiment(
     given = {key: value for key, value in data.items() if key not in ours}
     splits = call_with(LOADERS[data["name"]], given, "data", physics=physics, notify=notify)
     start = shared_start(data, config["initial_state"])
-    train, test = (_starting(record, start) for record in as_records(splits))
-    return Experiment(physics, train, test)
-
-
-def _starting(record: Record, start: Any) -> Record:
-    aside = record.validation
-    if aside is not None:
-        aside = aside._replace(info=replace(aside.info, start=start))
-    return record._replace(info=replace(record.info, start=start), validation=aside)
+    splits = Splits(*(part._replace(info=replace(part.info, start=start)) for part in splits))
+    return Experiment(physics, *as_records(splits))
 
 
 _HINTS = {

@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
@@ -35,13 +35,6 @@ from pgrssnn_jax.training.run_folder import RunFolder, short_path
 from pgrssnn_jax.training.run_lock import locked
 
 
-class Job(NamedTuple):
-    """One job of a sweep: what Hydra composes it from, and where it leaves its run."""
-
-    overrides: list[str]
-    folder: Path
-
-
 def run_sweep(sweeper: BasicSweeper, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
     """Runs the jobs that are not finished, shows how all ended, and exits with code 2 when one failed.
 
@@ -57,21 +50,21 @@ def run_sweep(sweeper: BasicSweeper, parsed: Sequence[Override], combinations: S
     except ValueError as problem:
         sys.exit(say(str(problem)))
     folder = Path(config.hydra.sweep.dir).absolute()
-    jobs = {job.folder: job for job in (_job(overrides, spelled, folder) for overrides in combinations)}
-    known = {path: _beforehand(job, config, context) for path, job in jobs.items()}
+    jobs = dict(_job(overrides, spelled, folder) for overrides in combinations)
+    known = {path: _beforehand(path, overrides, config, context) for path, overrides in jobs.items()}
     outcomes = {path: outcome for path, outcome in known.items() if outcome is not None}
     for outcome in outcomes.values():
         console.print(f"{outcome.status}: {short_path(outcome.folder)} {outcome.reason}".rstrip(), soft_wrap=True)
-    waiting = [job for path, job in jobs.items() if path not in outcomes]
+    waiting = [path for path in jobs if path not in outcomes]
     returns: list[JobReturn] = []
     size = sweeper.max_batch_size or max(1, len(waiting))
     for start in range(0, len(waiting), size):
         batch = waiting[start : start + size]
         with launcher_env(config, len(batch)):
-            returned, problem = _launched(launcher, batch, start)
+            returned, problem = _launched(launcher, [jobs[path] for path in batch], start)
         returns += returned
-        for job, back in zip(batch, returned or [None] * len(batch), strict=True):
-            outcomes[job.folder] = _outcome(job, back, problem)
+        for path, back in zip(batch, returned or [None] * len(batch), strict=True):
+            outcomes[path] = _outcome(RunFolder(path), back, problem)
     console.print(result_table([outcomes[path] for path in jobs], folder))
     if any(outcome.status == "failed" for outcome in outcomes.values()):
         sys.exit(BAD_INPUT)
@@ -98,18 +91,19 @@ def name_sweep(parsed: Sequence[Override], config: DictConfig) -> set[str]:
     return named if str(config.hydra.sweep.dir).endswith(config.sweep) else set()
 
 
-def _job(overrides: Sequence[str], spelled: set[str], folder: Path) -> Job:
+def _job(overrides: Sequence[str], spelled: set[str], folder: Path) -> tuple[Path, list[str]]:
+    """Where a job leaves its run, and what Hydra composes it from."""
     name = content_name([text for text in overrides if key_of(text) not in {*spelled, "sweep"}])
     there = [override("hydra.sweep.dir", str(folder)), override("hydra.sweep.subdir", name)]
-    return Job([*overrides, *there], folder / name)
+    return folder / name, [*overrides, *there]
 
 
-def _beforehand(job: Job, master: DictConfig, context: HydraContext) -> JobResult | None:
+def _beforehand(path: Path, overrides: list[str], master: DictConfig, context: HydraContext) -> JobResult | None:
     """How a job ends that need not be launched: it is finished, or its configuration does not do."""
-    run = RunFolder(job.folder)
+    run = RunFolder(path)
     try:
-        config = context.config_loader.load_sweep_config(master, list(job.overrides))
-        own = {key_of(name) for name in config.hydra.sweeper.params or {}} - {key_of(text) for text in job.overrides}
+        config = context.config_loader.load_sweep_config(master, list(overrides))
+        own = {key_of(name) for name in config.hydra.sweeper.params or {}} - {key_of(text) for text in overrides}
         if own:
             raise ValueError(
                 f"experiment={config.hydra.runtime.choices.get('experiment')}: expected alone, because it is a sweep "
@@ -123,18 +117,17 @@ def _beforehand(job: Job, master: DictConfig, context: HydraContext) -> JobResul
     return JobResult(run.path, "skipped") if finished else None
 
 
-def _launched(launcher: Launcher, batch: Sequence[Job], start: int) -> tuple[list[JobReturn], str]:
+def _launched(launcher: Launcher, batch: Sequence[list[str]], start: int) -> tuple[list[JobReturn], str]:
     """What came back, or nothing and why: a launcher gives up when one of its processes is killed."""
     try:
-        return list(launcher.launch([job.overrides for job in batch], initial_job_idx=start)), ""
+        return list(launcher.launch(batch, initial_job_idx=start)), ""
     except Exception as problem:
         return [], f"{type(problem).__name__}: {_sentence(problem)}"
 
 
-def _outcome(job: Job, back: JobReturn | None, problem: str) -> JobResult:
+def _outcome(run: RunFolder, back: JobReturn | None, problem: str) -> JobResult:
     if back is not None and back.status is JobStatus.COMPLETED and isinstance(back.return_value, JobResult):
         return back.return_value
-    run = RunFolder(job.folder)
     if run.finished:
         return JobResult(run.path, "finished")
     reason = run.failure or f"no result came back ({problem or 'the job ended too early'}); give the command again"
