@@ -2,6 +2,7 @@
 
 The names of `api.py`, and the rooms `physics` and `effects`, are loaded when they are first used.
 """
+# ruff: noqa: F403, F405
 
 import contextlib
 import os
@@ -13,26 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pgrssnn_jax import effects, physics
-    from pgrssnn_jax.api import (
-        Discovered,
-        Effect,
-        Ensemble,
-        ModelSpec,
-        Parameter,
-        Physics,
-        Record,
-        Signal,
-        add,
-        continuous,
-        discover,
-        fit,
-        load,
-        load_benchmark,
-        read_csv,
-        record,
-        rollout,
-        simulate,
-    )  # fmt: skip
+    from pgrssnn_jax.api import *
 
 __version__ = "0.1.0"
 __all__ = [
@@ -43,12 +25,7 @@ __all__ = [
 # jaxlib 0.10.2 computes products with a constant matrix of equal numbers wrongly on CPUs when it fuses them with what
 # stands before (jax issue 39103). Other versions may not know the flag, and XLA stops at flags that it does not know.
 _FUSION = "--xla_cpu_experimental_ynn_fusion_type"
-_LIGHT = {
-    "Parameter": "physics.base",
-    "Physics": "physics.base",
-    "Signal": "physics.base",
-    "continuous": "physics.base",
-}
+_OF_PHYSICS = ("Parameter", "Physics", "Signal", "continuous")  # no need to load the rest of the API for them
 
 
 def _avoid_wrong_products() -> None:
@@ -74,7 +51,7 @@ def __getattr__(name: str) -> Any:
     import_module("pgrssnn_jax.acceleration.devices").use_all_cores()
     if name in ("physics", "effects"):
         return import_module(f"pgrssnn_jax.{name}")
-    return getattr(import_module(f"pgrssnn_jax.{_LIGHT.get(name, 'api')}"), name)
+    return getattr(import_module(f"pgrssnn_jax.{'physics.base' if name in _OF_PHYSICS else 'api'}"), name)
 
 
 class _Finished(types.ModuleType):

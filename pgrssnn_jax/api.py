@@ -20,6 +20,7 @@ from rich.console import Console
 
 from pgrssnn_jax.acceleration.devices import keep_compiled
 from pgrssnn_jax.data.benchmarks import load_benchmark
+from pgrssnn_jax.data.sources import channels
 from pgrssnn_jax.discovery.card import discovery_arrays, discovery_json
 from pgrssnn_jax.discovery.network import network_shares, plan_network
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -36,7 +37,7 @@ from pgrssnn_jax.physics.simulate import free_run
 from pgrssnn_jax.records.arguments import call_with
 from pgrssnn_jax.records.build import record_from as record
 from pgrssnn_jax.records.csv import read_csv as _read_csv
-from pgrssnn_jax.records.record import Array, Channel, Record, Start
+from pgrssnn_jax.records.record import Array, Record, Start
 from pgrssnn_jax.reports.discovered import Discovered
 from pgrssnn_jax.reports.ensemble import Ensemble
 from pgrssnn_jax.reports.saved import load
@@ -92,28 +93,18 @@ def fit(
             stop.set()
 
     first = first_checkpoint(plan)
-    done = train_members(plan, first, _console(quiet), stop, on_chunk)
+    done = train_members(plan, first, Console(quiet=quiet, highlight=False), stop, on_chunk)
     return finished(plan, done.state, done.losses, done.seconds)
 
 
 def finished(
-    plan: Plan,
-    state: Any,
-    losses: Any,
-    seconds: Mapping[str, float],
-    labels: Mapping[str, str | None] | None = None,
+    plan: Plan, state: Any, losses: Any, seconds: Mapping[str, float], labels: Mapping[str, str | None] | None = None
 ) -> Ensemble:
     """The result of a training run; labels: names of the configuration's files, where there were any."""
     return Ensemble(
-        plan.settings,
-        trained_members(plan, state),
-        losses,
-        plan.train.info,
-        n_train=plan.train.u.shape[2],
-        seconds=seconds,
-        plan=plan,
-        labels=labels,
-    )
+        plan.settings, trained_members(plan, state), losses, plan.train.info,
+        n_train=plan.train.u.shape[2], seconds=seconds, plan=plan, labels=labels,
+    )  # fmt: skip
 
 
 def discover(
@@ -136,12 +127,12 @@ def discover(
     settings: any of `discovery/settings.py` by name. Raises `ValueError` for bad input, before any work.
     """
     keep_compiled()
-    console = _console(quiet)
+    console = Console(quiet=quiet, highlight=False)
     chosen = call_with(DiscoverySettings, {**settings, "without": list(without)}, "discovery")
     training = _training("pg_rssnn", physics, train, None, {}, before=PROOF)
 
     def say(line: str) -> None:
-        console.print(line, soft_wrap=True, highlight=False)
+        console.print(line, soft_wrap=True)
 
     setup = set_up(
         physics, train, test, chosen, training,
@@ -181,8 +172,7 @@ def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") ->
 
     start: what is known of the initial state. Raises `ValueError` with file, line and column for a file that does not
     fit."""
-    inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (physics.inputs, physics.outputs))
-    return _read_csv(path, inputs, outputs, physics.dt, start=start)
+    return _read_csv(path, channels(physics.inputs), channels(physics.outputs), physics.dt, start=start)
 
 
 def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
@@ -217,9 +207,5 @@ def _training(
     if recipe == "experiment" and not train.info.benchmark:
         raise ValueError("recipe: expected None or 'default' for data that is no benchmark, found 'experiment'")
     own = DEFAULT if recipe == "default" else recipe_for(train.info.benchmark)
-    named = {name: value for name, value in given.items() if not (name == "n_seeds" and value is None)}
+    named = {name: value for name, value in given.items() if name != "n_seeds" or value is not None}
     return training_settings(model, before or {}, own.settings(discovered=physics.discovered), named)
-
-
-def _console(quiet: bool) -> Console:
-    return Console(quiet=quiet, highlight=False)

@@ -1,5 +1,6 @@
 """Every configuration composes and trains for two epochs, and says where its numbers come from."""
 
+import copy
 import inspect
 import json
 import re
@@ -8,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import QUICK, ROOT, composed, config_names, planned, trained, write_benchmark
+from hydra.core.config_store import ConfigStore
 
+from pgrssnn_jax.cli.config_store import register
 from pgrssnn_jax.cli.plan import load_physics
 from pgrssnn_jax.data.benchmarks import LOADERS, loader_settings
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -29,6 +32,13 @@ PUBLISHED = {
 
 def test_the_ten_published_variants_the_baseline_and_the_physics_are_there():
     assert set(MODELS) == PUBLISHED | {"w_pgnn", "physics_only"}
+
+
+def test_hydra_lists_the_configurations_without_copying_their_store():
+    """It would for each of the thirty groups that --help shows."""
+    register()
+    store = ConfigStore.instance()
+    assert copy.deepcopy(store) is store
 
 
 FAST = ("fcssnn", "pg_rssnn_fb", "w_pgnn")  # without recurrence, with feedback, and the one with a network inside

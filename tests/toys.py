@@ -9,6 +9,7 @@ import numpy as np
 
 from pgrssnn_jax.acceleration.compiler import optimised
 from pgrssnn_jax.models.model import Model, ModelParams, build_model
+from pgrssnn_jax.models.rollout import Route, rollout
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Physics, Signal, discrete
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
@@ -95,6 +96,10 @@ def toy_signals(n_seq: int = 3, n_time: int = 7, dtype: Any = jnp.float32) -> tu
     draw = np.random.default_rng(7)
     u, x0 = draw.normal(size=(n_seq, n_time, 2)), draw.normal(size=(n_seq, 3))
     return jnp.asarray(u, dtype), jnp.asarray(x0, dtype)
+
+
+def compiled_rollout(model: Model, route: Route | None = None) -> Any:
+    return quick_jit(lambda params, u, x0: rollout(model, params, u, x0, route=route))
 
 
 def small_record(u: Any, y: Any, **more: Any) -> Record:

@@ -7,7 +7,7 @@ A value that depends on whether the physics comes from a discovery is written `$
 
 import inspect
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -19,14 +19,7 @@ from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.effects.stored import plain
 from pgrssnn_jax.models.spec import VARIANTS, ModelSpec
 from pgrssnn_jax.training.recipes import DEFAULT, PROOF, RECIPES, Recipe
-from pgrssnn_jax.training.settings import (
-    GROUP_OF,
-    GROUPS,
-    DataSettings,
-    FitSettings,
-    MemberSettings,
-    RunSettings,
-)
+from pgrssnn_jax.training.settings import GROUP_OF, GROUPS, DataSettings, FitSettings, MemberSettings, RunSettings
 
 _PHYSICS = {"tanks": "cascaded_tanks", "lgssm": "lgssm", "arm": "arm"}
 #: benchmarks whose test record starts where the training record does
@@ -37,6 +30,8 @@ def register() -> None:
     """Must run before a configuration is composed; a second call changes nothing."""
     OmegaConf.register_new_resolver("after_discovery", _chosen, replace=True)
     store = ConfigStore.instance()
+    # Hydra copies this singleton for every group that --help lists, which takes longer than all else
+    ConfigStore.__deepcopy__ = lambda self, _: self  # pyright: ignore[reportAttributeAccessIssue]
     model = {**asdict(ModelSpec()), **_nested(DEFAULT)["model"]}
     for name, changes in VARIANTS.items():
         store.store(name, {"name": name, **model, **changes}, group="model")
@@ -70,7 +65,7 @@ def _nested(recipe: Recipe) -> dict[str, Any]:
     nested: dict[str, Any] = {}
     for name in {**usual, **after}:
         group = GROUP_OF[name]
-        value = usual.get(name, next(f.default for f in fields(GROUPS[group]) if f.name == name))
+        value = usual.get(name, getattr(GROUPS[group], name))  # a field's default is its class's attribute
         if name in after and after[name] != value:
             value = f"${{after_discovery:{_word(after[name])},{_word(value)}}}"
         place = nested if group == "run" else nested.setdefault(group, {})

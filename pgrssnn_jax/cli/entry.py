@@ -25,10 +25,7 @@ class Work(NamedTuple):
     do: Callable[[threading.Event], None]
 
 
-Prepare = Callable[[Any], Work]
-
-
-def run(prepare: Prepare, config: Any) -> Any:
+def run(prepare: Callable[[Any], Work], config: Any) -> Any:
     """Bad input raises `ValueError` while preparing, before anything is written.
 
     Exit code 2 for bad input, 130 for an interrupted run; any other exception is a bug and keeps its traceback. A job

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 from omegaconf import DictConfig, OmegaConf
 
-from pgrssnn_jax.cli.budget import capped
 from pgrssnn_jax.cli.config_store import shared_start
 from pgrssnn_jax.data.benchmarks import LOADERS, as_records
 from pgrssnn_jax.effects.base import Effect
@@ -18,7 +17,7 @@ from pgrssnn_jax.physics.base import Origin, Physics
 from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
 from pgrssnn_jax.records.arguments import call_with
-from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.records.record import Record, Splits
 from pgrssnn_jax.training.settings import DataSettings
 
 _KEYS = {
@@ -52,15 +51,8 @@ def load_experiment(
     given = {key: value for key, value in data.items() if key not in ours}
     splits = call_with(LOADERS[data["name"]], given, "data", physics=physics, notify=notify)
     start = shared_start(data, config["initial_state"])
-    train, test = (_starting(record, start) for record in as_records(splits))
-    return Experiment(physics, train, test)
-
-
-def _starting(record: Record, start: Any) -> Record:
-    aside = record.validation
-    if aside is not None:
-        aside = aside._replace(info=replace(aside.info, start=start))
-    return record._replace(info=replace(record.info, start=start), validation=aside)
+    splits = Splits(*(part._replace(info=replace(part.info, start=start)) for part in splits))
+    return Experiment(physics, *as_records(splits))
 
 
 _HINTS = {
@@ -151,3 +143,35 @@ def imported(target: str, where: str, expected: str) -> Any:
     except Exception as problem:  # whatever a user's module does while it is imported
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise ValueError(f"{where}: expected {expected}, found {target!r} ({reason})") from problem
+
+
+def capped(config: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[str, Any]:
+    """config with no number above the cap of a budget, which is the most that a run may take.
+
+        value -> min(value, cap);  null, which stands for all there is, -> cap
+
+    budget: `{"any": caps, "data": {name: caps}}`, either may be missing; caps: a tree like the configuration. A cap on
+    what this configuration does not have says nothing, so one file serves every data set. Values that are no numbers
+    stay as they are: whoever reads them says what is wrong with them. Raises `ValueError` for another form.
+    """
+    unknown = sorted(budget.keys() - {"any", "data"})
+    if unknown:
+        raise ValueError(f"budget: expected the keys any and data, found {unknown[0]!r}")
+    own = budget.get("data", {}).get(config["data"]["name"], {}) if "data" in config else {}
+    return _capped(_capped(config, budget.get("any", {}), "budget.any"), own, "budget.data")
+
+
+def _capped(value: Any, cap: Any, where: str) -> Any:
+    if isinstance(cap, Mapping):
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{where}: expected a number as the configuration has there, found a group")
+        return {
+            name: _capped(part, cap[name], f"{where}.{name}") if name in cap else part for name, part in value.items()
+        }
+    if isinstance(value, Mapping):
+        raise ValueError(f"{where}: expected a group as the configuration has there, found {cap!r}")
+    if type(cap) not in (int, float):
+        raise ValueError(f"{where}: expected a number, found {cap!r}")
+    if value is None:
+        return cap
+    return min(value, cap) if type(value) in (int, float) else value

@@ -6,16 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hydra.core.override_parser.types import Quote, QuotedString
+
 from pgrssnn_jax.physics.library import library_builder
 
 # how long to train and how members are mapped; everything else makes another run
-FLEXIBLE = (
-    "fit.epochs",
-    "fit.checkpoint_seconds",
-    "members.how",
-    "members.sub_batch",
-    "members.devices",
-)
+FLEXIBLE = ("fit.epochs", "fit.checkpoint_seconds", "members.how", "members.sub_batch", "members.devices")
 
 
 def resume_config(
@@ -27,8 +23,8 @@ def resume_config(
     those of Hydra's own and `resume` do not matter. Raises `ValueError` when they describe another run than the saved
     one.
     """
-    names = [text.split("=")[0].lstrip("+~") for text in given]
-    names = [name for name in names if name != "resume" and not name.startswith("hydra.")]
+    names = [name for name in map(key_of, given) if name != "resume" and not name.startswith("hydra.")]
+    found = {name: dict(part) if isinstance(part, Mapping) else part for name, part in saved.items()}
     before, now = _flat(saved), _flat(asked)
     for key in sorted(now):
         named = "experiment" in names or any(key == name or key.startswith(f"{name}.") for name in names)
@@ -40,8 +36,9 @@ def resume_config(
             raise ValueError(
                 f"resume: {key}: expected {before.get(key)!r} as in {folder.name}/config.yaml, found {now[key]!r}"
             )
-        before[key] = now[key]
-    return {**_nested(before), "resume": str(folder)}
+        group, name = key.split(".")
+        found[group][name] = now[key]
+    return {**found, "resume": str(folder)}
 
 
 def resumed_physics(config: Mapping[str, Any], asked: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -65,18 +62,17 @@ def resumed_physics(config: Mapping[str, Any], asked: Mapping[str, Any], folder:
     return {**config, "physics": {**config["physics"], "effects": str(kept)}}
 
 
+def key_of(text: str) -> str:
+    """The key of an override."""
+    return text.split("=")[0].lstrip("+~")
+
+
 def override(key: str, text: str) -> str:
     """`key=text` as Hydra reads it back, whatever the text."""
-    if re.fullmatch(r"(?!\.\d)[A-Za-z/._][A-Za-z0-9/._-]*", text) and text.lower() not in (
-        "null",
-        "true",
-        "false",
-        "inf",
-        "nan",
-    ):
-        return f"{key}={text}"
-    escaped = re.sub(r'(\\*)("|\Z)', lambda found: 2 * found[1] + ('\\"' if found[2] else ""), text)
-    return f'{key}="{escaped}"'
+    plain = re.fullmatch(r"(?!\.\d)[A-Za-z/._][A-Za-z0-9/._-]*", text)
+    if not plain or text.lower() in ("null", "true", "false", "inf", "nan"):
+        text = QuotedString(text, Quote.double).with_quotes()
+    return f"{key}={text}"
 
 
 def first_difference(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
@@ -93,14 +89,3 @@ def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
     if not isinstance(tree, Mapping) or not tree:
         return {prefix.rstrip("."): tree}
     return {key: value for name, part in tree.items() for key, value in _flat(part, f"{prefix}{name}.").items()}
-
-
-def _nested(flat: Mapping[str, Any]) -> dict[str, Any]:
-    tree: dict[str, Any] = {}
-    for key, value in flat.items():
-        *path, last = key.split(".")
-        node = tree
-        for name in path:
-            node = node.setdefault(name, {})
-        node[last] = value
-    return tree

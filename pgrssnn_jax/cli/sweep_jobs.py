@@ -10,14 +10,15 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
-from hydra.core.utils import JobReturn, JobStatus
+from hydra.core.utils import JobReturn, JobStatus, env_override
 from hydra.errors import HydraException
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext
@@ -28,54 +29,42 @@ from rich.console import Console
 from pgrssnn_jax.acceleration.devices import usable_cores
 from pgrssnn_jax.cli.plan import plain_config
 from pgrssnn_jax.cli.process import BAD_INPUT, Interrupted, say
-from pgrssnn_jax.cli.resume import override
-from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
+from pgrssnn_jax.cli.resume import key_of, override
+from pgrssnn_jax.cli.sweeps import JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
-from pgrssnn_jax.training.run_lock import held
+from pgrssnn_jax.training.run_lock import locked
 
 
-class Job(NamedTuple):
-    """One job of a sweep: what Hydra composes it from, and where it leaves its run."""
-
-    overrides: list[str]
-    folder: Path
-
-
-class Sweep(NamedTuple):
-    """What Hydra hands to a sweeper; config: as composed without what is swept."""
-
-    config: DictConfig
-    context: HydraContext
-    launcher: Launcher
-    batch_size: int | None
-
-
-def run_sweep(sweep: Sweep, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
+def run_sweep(sweeper: BasicSweeper, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
     """Runs the jobs that are not finished, shows how all ended, and exits with code 2 when one failed.
 
     parsed: the overrides of the whole sweep; combinations: those of each job.
     """
+    config, context, launcher = sweeper.config, sweeper.hydra_context, sweeper.launcher
+    assert config is not None
+    assert context is not None
+    assert launcher is not None
     console = Console(highlight=False)
     try:
-        spelled = name_sweep(parsed, sweep.config)
+        spelled = name_sweep(parsed, config)
     except ValueError as problem:
         sys.exit(say(str(problem)))
-    folder = Path(sweep.config.hydra.sweep.dir).absolute()
-    jobs = {job.folder: job for job in (_job(overrides, spelled, folder) for overrides in combinations)}
-    known = {path: _beforehand(job, sweep) for path, job in jobs.items()}
+    folder = Path(config.hydra.sweep.dir).absolute()
+    jobs = dict(_job(overrides, spelled, folder) for overrides in combinations)
+    known = {path: _beforehand(path, overrides, config, context) for path, overrides in jobs.items()}
     outcomes = {path: outcome for path, outcome in known.items() if outcome is not None}
     for outcome in outcomes.values():
         console.print(f"{outcome.status}: {short_path(outcome.folder)} {outcome.reason}".rstrip(), soft_wrap=True)
-    waiting = [job for path, job in jobs.items() if path not in outcomes]
+    waiting = [path for path in jobs if path not in outcomes]
     returns: list[JobReturn] = []
-    size = sweep.batch_size or max(1, len(waiting))
+    size = sweeper.max_batch_size or max(1, len(waiting))
     for start in range(0, len(waiting), size):
         batch = waiting[start : start + size]
-        with launcher_env(sweep.config, len(batch)):
-            returned, problem = _launched(sweep.launcher, batch, start)
+        with launcher_env(config, len(batch)):
+            returned, problem = _launched(launcher, [jobs[path] for path in batch], start)
         returns += returned
-        for job, back in zip(batch, returned or [None] * len(batch), strict=True):
-            outcomes[job.folder] = _outcome(job, back, problem)
+        for path, back in zip(batch, returned or [None] * len(batch), strict=True):
+            outcomes[path] = _outcome(RunFolder(path), back, problem)
     console.print(result_table([outcomes[path] for path in jobs], folder))
     if any(outcome.status == "failed" for outcome in outcomes.values()):
         sys.exit(BAD_INPUT)
@@ -102,22 +91,19 @@ def name_sweep(parsed: Sequence[Override], config: DictConfig) -> set[str]:
     return named if str(config.hydra.sweep.dir).endswith(config.sweep) else set()
 
 
-def _job(overrides: Sequence[str], spelled: set[str], folder: Path) -> Job:
+def _job(overrides: Sequence[str], spelled: set[str], folder: Path) -> tuple[Path, list[str]]:
+    """Where a job leaves its run, and what Hydra composes it from."""
     name = content_name([text for text in overrides if key_of(text) not in {*spelled, "sweep"}])
     there = [override("hydra.sweep.dir", str(folder)), override("hydra.sweep.subdir", name)]
-    return Job([*overrides, *there], folder / name)
+    return folder / name, [*overrides, *there]
 
 
-def key_of(text: str) -> str:
-    return text.split("=")[0].lstrip("+~")
-
-
-def _beforehand(job: Job, sweep: Sweep) -> JobResult | None:
+def _beforehand(path: Path, overrides: list[str], master: DictConfig, context: HydraContext) -> JobResult | None:
     """How a job ends that need not be launched: it is finished, or its configuration does not do."""
-    run = RunFolder(job.folder)
+    run = RunFolder(path)
     try:
-        config = sweep.context.config_loader.load_sweep_config(sweep.config, list(job.overrides))
-        own = {key_of(name) for name in config.hydra.sweeper.params or {}} - {key_of(text) for text in job.overrides}
+        config = context.config_loader.load_sweep_config(master, list(overrides))
+        own = {key_of(name) for name in config.hydra.sweeper.params or {}} - {key_of(text) for text in overrides}
         if own:
             raise ValueError(
                 f"experiment={config.hydra.runtime.choices.get('experiment')}: expected alone, because it is a sweep "
@@ -125,24 +111,23 @@ def _beforehand(job: Job, sweep: Sweep) -> JobResult | None:
             )
         with open_dict(config):
             del config["hydra"]
-        finished = job_status(run, plain_config(config)) is JobProgress.FINISHED
+        finished = job_status(run, plain_config(config)) == "finished"
     except (ValueError, HydraException, OmegaConfBaseException) as problem:
         return _failed(run, _sentence(problem))
     return JobResult(run.path, "skipped") if finished else None
 
 
-def _launched(launcher: Launcher, batch: Sequence[Job], start: int) -> tuple[list[JobReturn], str]:
+def _launched(launcher: Launcher, batch: Sequence[list[str]], start: int) -> tuple[list[JobReturn], str]:
     """What came back, or nothing and why: a launcher gives up when one of its processes is killed."""
     try:
-        return list(launcher.launch([job.overrides for job in batch], initial_job_idx=start)), ""
+        return list(launcher.launch(batch, initial_job_idx=start)), ""
     except Exception as problem:
         return [], f"{type(problem).__name__}: {_sentence(problem)}"
 
 
-def _outcome(job: Job, back: JobReturn | None, problem: str) -> JobResult:
+def _outcome(run: RunFolder, back: JobReturn | None, problem: str) -> JobResult:
     if back is not None and back.status is JobStatus.COMPLETED and isinstance(back.return_value, JobResult):
         return back.return_value
-    run = RunFolder(job.folder)
     if run.finished:
         return JobResult(run.path, "finished")
     reason = run.failure or f"no result came back ({problem or 'the job ended too early'}); give the command again"
@@ -160,18 +145,18 @@ def run_job(prepare: Callable[[Any], Any], config: Any, stop: threading.Event) -
     def show(line: str) -> None:
         console.print(line, soft_wrap=True)
 
-    with held(run.path, stop, show):
+    with locked(run.path, stop, show):
         _unless(stop)
         try:
             there = job_status(run, plain_config(config))
         except ValueError as problem:
             return _failed(run, str(problem))
-        if there is JobProgress.FINISHED:
+        if there == "finished":
             return JobResult(run.path, "skipped")
         run.forget_failure()
-        if there is JobProgress.BEGUN:
+        if there == "begun":
             config.resume = str(run.path)
-        show(f"{'going on with' if there is JobProgress.BEGUN else 'beginning'} {short_path(run.path)}")
+        show(f"{'going on with' if there == 'begun' else 'beginning'} {short_path(run.path)}")
         work = None
         try:
             work = prepare(config)
@@ -206,29 +191,20 @@ def _sentence(problem: BaseException) -> str:
     return type(problem).__name__
 
 
-@contextmanager
-def launcher_env(config: DictConfig, jobs: int) -> Iterator[None]:
+def launcher_env(config: DictConfig, jobs: int) -> AbstractContextManager[None]:
     """What the processes of a launcher on this machine inherit: their share of the cores, plain lines instead of
     progress bars, and where Hydra finds this package's sweeper. The user's own settings win."""
     workers = {"basic": 0, "joblib": config.hydra.launcher.get("n_jobs"), "submitit_local": jobs}.get(
         str(config.hydra.runtime.choices.get("hydra/launcher"))
     )
-    changed: dict[str, str] = {}
+    env: dict[str, str] = {}
     if workers:
         cores = usable_cores()
         at_once = min(jobs, workers if workers > 0 else max(1, cores + 1 + workers))
         share = str(max(1, cores // at_once))
-        changed = {"JAX_NUM_CPU_DEVICES": share, "NPROC": share, "TTY_COMPATIBLE": "0"}
+        env = {"JAX_NUM_CPU_DEVICES": share, "NPROC": share, "TTY_COMPATIBLE": "0"}
+        env = {name: value for name, value in env.items() if not os.environ.get(name)}
     if workers != 0:
-        here = str(Path(__file__).resolve().parent.parent)
-        changed["PYTHONPATH"] = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
-    before = {name: os.environ.get(name) for name in changed}
-    os.environ.update({name: value for name, value in changed.items() if name == "PYTHONPATH" or not before[name]})
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        here = str(Path(__file__).resolve().parents[2])
+        env["PYTHONPATH"] = os.pathsep.join(filter(None, (here, os.environ.get("PYTHONPATH"))))
+    return env_override(env)

@@ -10,7 +10,6 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from enum import Enum
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -53,18 +52,11 @@ class JobResult(NamedTuple):
     seconds: float = 0.0
 
 
-class JobProgress(Enum):
-    """How far the run in a folder has come."""
-
-    NEW = "nothing to go on from"
-    BEGUN = "a checkpoint"
-    FINISHED = "finished"
-
-
-def job_status(run: RunFolder, settings: Mapping[str, Any]) -> JobProgress:
-    """settings: what the run is to be made with. Raises `ValueError` when the folder holds a run of other settings."""
-    found = JobProgress.FINISHED if run.finished else JobProgress.BEGUN if run.has_checkpoint else JobProgress.NEW
-    if found is not JobProgress.NEW:
+def job_status(run: RunFolder, settings: Mapping[str, Any]) -> Literal["new", "begun", "finished"]:
+    """How far the run in a folder has come: to nothing, to a checkpoint, to its end. settings: what it is to be made
+    with. Raises `ValueError` when the folder holds a run of other settings."""
+    found = "finished" if run.finished else "begun" if run.has_checkpoint else "new"
+    if found != "new":
         as_written: Any = OmegaConf.to_container(OmegaConf.create(OmegaConf.to_yaml({**settings, "resume": None})))
         if difference := first_difference(read_config(run.path), as_written):
             key, before, now = difference
@@ -77,9 +69,10 @@ def job_status(run: RunFolder, settings: Mapping[str, Any]) -> JobProgress:
 
 def result_table(outcomes: Sequence[JobResult], folder: Path) -> Table:
     """One row per job; folder: the sweep's. Where the terminal is narrow, names and reasons are broken, not cut."""
-    table = Table(
-        title=Text(f"sweep {short_path(folder)}", "bold"), caption=Text(counted(outcomes)), box=box.SIMPLE_HEAD
-    )
+    counts = Counter(outcome.status for outcome in outcomes)
+    parts = ", ".join(f"{counts[status]} {status}" for status in ("finished", "skipped", "failed"))
+    caption = Text(f"{len(outcomes)} jobs: {parts}")
+    table = Table(title=Text(f"sweep {short_path(folder)}", "bold"), caption=caption, box=box.SIMPLE_HEAD)
     table.title_justify = table.caption_justify = "left"
     for name in ("status", "seconds", f"in {short_path(folder)}", "reason"):
         table.add_column(Text(name), justify="right" if name == "seconds" else "left", overflow="fold")
@@ -88,10 +81,3 @@ def result_table(outcomes: Sequence[JobResult], folder: Path) -> Table:
         style = "red" if outcome.status == "failed" else ""
         table.add_row(outcome.status, seconds, Text(outcome.folder.name), Text(outcome.reason), style=style)
     return table
-
-
-def counted(outcomes: Sequence[JobResult]) -> str:
-    """`5 jobs: 3 finished, 1 skipped, 1 failed`."""
-    counts = Counter(outcome.status for outcome in outcomes)
-    parts = ", ".join(f"{counts[status]} {status}" for status in ("finished", "skipped", "failed"))
-    return f"{len(outcomes)} jobs: {parts}"

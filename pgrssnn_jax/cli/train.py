@@ -5,6 +5,7 @@ import shlex
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -74,11 +75,8 @@ def plan_command(config: Mapping[str, Any], notify: Any) -> tuple[Experiment, Pl
 def resumed(plan: Plan, run: RunFolder, test: Record) -> Checkpoint:
     """Where the run in a folder stopped. Raises `ValueError` when it is not a run of this plan on this data."""
     like = jax.eval_shape(map_members(plan.fit.begin, plan.mapping), keys_of(plan.members), plan.data)
-    checkpoints = CheckpointFolder(run.checkpoint, create=False)
-    try:
+    with closing(CheckpointFolder(run.checkpoint, create=False)) as checkpoints:
         found = checkpoints.restore(Checkpoint(like, plan.data.scaling, plan.units, no_losses(len(plan.members))))
-    finally:
-        checkpoints.close()
     run.check_data(_origins(plan, test))
     now, before = jax.tree.leaves((plan.data.scaling, plan.units)), jax.tree.leaves((found.scaling, found.units))
     if not all(np.allclose(a, b, rtol=1e-4) for a, b in zip(now, before, strict=True)):

@@ -13,17 +13,17 @@ S, θ, noise and their sizes are those of the published files (Li, Seth, Kok, IF
 on them: between the ten, positions differ by 0.005 to 0.12 rad beyond their noise.
 """
 
-from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 from jaxtyping import Float
 
+from pgrssnn_jax.data.tank_simulator import runge_kutta
 from pgrssnn_jax.physics.arms.tables import ArmTables, described, pinocchio_model
 
 SAMPLE_TIME = 0.1  # s
-JOINTS = 6
 _FASTEST = 0.135  # Hz, of a plan: rms speed / position 0.5 and acceleration / speed 0.7 rad/s, as measured
 _RAMP = 0.12  # share of the time at either end in which w rises and falls
 _REACH = (0.3, 0.9)  # share of the range of positions that a plan uses
@@ -140,18 +140,18 @@ def simulate(
     )
     memory = np.array(simulator.memory)[:, None]
 
-    def acceleration(q: Batch, v: Batch, tau: Batch) -> Batch:
+    def slope(x: Float[np.ndarray, "2 n batch"], tau: Batch) -> Float[np.ndarray, "2 n batch"]:
+        q, v = x
         force = tau - _friction(tables, v)
-        found = pin.abaInParallel(1, pool, *(np.asfortranarray(column) for column in (q, v, force)))
-        return found.reshape(q.shape)  # Pinocchio drops the axis of a batch of one
+        acceleration = pin.abaInParallel(1, pool, *(np.asfortranarray(column) for column in (q, v, force)))
+        return np.stack([v, acceleration.reshape(q.shape)])  # Pinocchio drops the axis of a batch of one
 
-    q = v = np.zeros(columns.shape[1:])
+    x = np.zeros((2, *columns.shape[1:]))
     found = np.empty_like(columns)
     for t, tau in enumerate(columns):
-        before = v
-        q, v = _runge_kutta(acceleration, q, v, tau)
-        q = found[t] = np.clip(q, lowest, highest)
-        v = np.clip(v, -fastest, fastest) + memory * before
+        q, v = runge_kutta(partial(slope, tau=tau), x, SAMPLE_TIME)
+        found[t] = np.clip(q, lowest, highest)
+        x = np.stack([found[t], np.clip(v, -fastest, fastest) + memory * x[1]])
     return np.ascontiguousarray(np.moveaxis(found, 2, 0)).reshape(*lead, samples, n)
 
 
@@ -159,17 +159,3 @@ def _friction(tables: ArmTables, v: Batch) -> Batch:
     """Nm on the link side, zero at zero velocity."""
     viscous, coulomb = tables.gear**2 * tables.viscous, tables.gear * tables.coulomb
     return viscous[:, None] * v + coulomb[:, None] * np.sign(v)
-
-
-def _runge_kutta(
-    acceleration: Callable[[Batch, Batch, Batch], Batch], q: Batch, v: Batch, tau: Batch
-) -> tuple[Batch, Batch]:
-    h = SAMPLE_TIME
-    a = acceleration(q, v, tau)
-    vb = v + h / 2 * a
-    b = acceleration(q + h / 2 * v, vb, tau)
-    vc = v + h / 2 * b
-    c = acceleration(q + h / 2 * vb, vc, tau)
-    vd = v + h * c
-    d = acceleration(q + h * vc, vd, tau)
-    return q + h / 6 * (v + 2 * vb + 2 * vc + vd), v + h / 6 * (a + 2 * b + 2 * c + d)

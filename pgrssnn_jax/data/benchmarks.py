@@ -1,16 +1,58 @@
-"""The four benchmarks of the paper by name, as records that know their validation part and how their test starts."""
+"""The loaders of records: the four benchmarks of the paper by name, and users' own CSV files.
+
+Records of a benchmark know their validation part and how their test record starts.
+"""
 
 import inspect
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pgrssnn_jax.data.csv_files import load_csv
 from pgrssnn_jax.data.lgssm import load_lgssm
 from pgrssnn_jax.data.robot import load_robot_real, load_robot_simulated
+from pgrssnn_jax.data.sources import channels
 from pgrssnn_jax.data.tanks import load_cascaded_tank
+from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.arguments import call_with
-from pgrssnn_jax.records.record import Record, Splits, take
+from pgrssnn_jax.records.csv import read_csv
+from pgrssnn_jax.records.record import Record, Splits, stack, take
+from pgrssnn_jax.records.splits import front, split_tail
+
+
+def load_csv(
+    *,
+    train: str | Path,
+    test: str | Path,
+    validation: str | Path | None = None,
+    physics: Physics,
+    n_train: int | None = None,
+    n_validation: int | None = None,
+) -> Splits:
+    """The three records of an experiment on users' files, each `[1, seq, time, channel]`.
+
+    validation: None takes it from the end of `train`: the last quarter of the samples of a single sequence, the last
+    quarter (at least one) of several sequences. n_train, n_validation: samples per sequence; training samples count
+    from the front, None: all.
+    """
+
+    def read(key: str, path: str | Path) -> Record:
+        try:
+            return read_csv(path, channels(physics.inputs), channels(physics.outputs), physics.dt)
+        except ValueError as error:
+            raise ValueError(f"{key}: {error}") from None
+
+    fitted, tested = read("data.train", train), read("data.test", test)
+    if validation is None:
+        fitted, validated = split_tail(fitted, n_validation)
+    else:
+        validated = front(read("data.validation", validation), "data.n_validation", n_validation)
+    fitted = front(fitted, "data.n_train", n_train)
+    for key, part in (("data.train", fitted), ("data.validation", validated), ("data.test", tested)):
+        if not part.mask.any():
+            raise ValueError(f"{key}: expected at least one measured output, found none in {part.info.origin}")
+    return Splits(*(stack([part]) for part in (fitted, validated, tested)))
+
 
 LOADERS: Mapping[str, Callable[..., Splits]] = MappingProxyType(
     {

@@ -11,15 +11,14 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.data.sources import published_folder, say_nothing
+from pgrssnn_jax.data.sources import check_generated, published_folder, say_nothing
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.arguments import check_count
-from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Splits, record, stack
+from pgrssnn_jax.records.record import Channel, RecordInfo, Splits, map_signals, record, stack
 from pgrssnn_jax.records.table import fingerprint
 
 A = np.array([[0.7, 0.8], [0.0, 0.1]])
@@ -30,28 +29,7 @@ _FOLDER = "lgssm"
 _TRAIN_FILE = "toy_lgssm_pre_trainingset_shifted_{}.npz"
 _TEST_FILE = "toy_lgssm_pre_testset_shifted.npz"
 
-Column = Float[np.ndarray, "time 1"]
-
-
-class _Signals(NamedTuple):
-    u: Column
-    y: Column
-
-
-class _Wanted(NamedTuple):
-    """Samples of each record."""
-
-    train: int
-    validation: int
-    test: int
-
-
-class _Raw(NamedTuple):
-    """train and validation: one for every realisation."""
-
-    train: list[_Signals]
-    validation: list[_Signals]
-    test: _Signals
+Signals = tuple[Float[np.ndarray, "time 1"], Float[np.ndarray, "time 1"]]  # u, y
 
 
 def load_lgssm(
@@ -70,68 +48,45 @@ def load_lgssm(
     `[realisation, 1, n_test, 1]`, the same record for each.
 
     path: folder of the published files; None: `lgssm` under PGRSSNN_DATA, or, without that, generated data. generated:
-    generate in any case. seed: of generated data. physics:
-    its dt is the sample time (1 without). notify: takes a line when data are generated though nobody asked.
-    Raises `ValueError` for bad files and for counts that the files cannot serve.
+    generate in any case. seed: of generated data. physics: its dt is the sample time (1 without). notify: takes a line
+    when data are generated though nobody asked. Raises `ValueError` for bad files and for more samples than they have.
     """
-    if generated and path is not None:
-        raise ValueError("data.generated: expected false where data.path names a folder, found true")
+    check_generated(generated, seed, path, "a folder")
     check_count("data.realisations", realisations, 1, 10**6, "datasets")
-    check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
-    wanted = _Wanted(n_train, n_validation, n_test)
-    for name, count in zip(("n_train", "n_validation", "n_test"), wanted, strict=True):
+    for name, count in (("n_train", n_train), ("n_validation", n_validation), ("n_test", n_test)):
         check_count(f"data.{name}", count, 1, 10**9, "samples")
     folder = None if generated else published_folder(_FOLDER, path, seed, notify)
     if folder is None:
-        raw, source, origin = _generate(realisations, wanted, seed), "simulated", f"generated, seed {seed}"
+        # each record has a random stream of its own, so that fewer samples or realisations are a part of more
+        test = _simulate(np.random.default_rng((seed, 0)), n_test)
+        streams = [np.random.default_rng((seed, 1, i)).spawn(2) for i in range(realisations)]
+        fitted = [(_simulate(first, n_train), _simulate(second, n_validation)) for first, second in streams]
+        source, origin = "simulated", f"generated, seed {seed}"
     else:
-        raw, source = _read(folder, realisations, wanted), "file"
+        files = [folder / _TRAIN_FILE.format(i) for i in range(realisations)]
+        fitted = [(_read(file, "train", n_train), _read(file, "val", n_validation)) for file in files]
+        test = _read(folder / _TEST_FILE, "test", n_test)
         digest = fingerprint((folder / _TEST_FILE).read_bytes())
-        origin = f"{_TRAIN_FILE.format(f'0..{realisations - 1}')}, test record sha256 {digest}…"
+        source, origin = "file", f"{_TRAIN_FILE.format(f'0..{realisations - 1}')}, test record sha256 {digest}…"
     dt = 1.0 if physics is None else physics.dt
     info = RecordInfo((Channel("u"),), (Channel("y"),), dt, source, origin, start="rest", benchmark="lgssm")
-    train, validation = (stack([record(*s, info) for s in part]) for part in (raw.train, raw.validation))
-    test = record(*raw.test, info)
-    return Splits(train, validation, _repeat(test, realisations))
+    train, validation = (stack([record(u, y, info) for u, y in part]) for part in zip(*fitted, strict=True))
+    # the same test record for every realisation, without copying it
+    tested = map_signals(record(*test, info), lambda signal: np.broadcast_to(signal, (realisations, *signal.shape)))
+    return Splits(train, validation, tested)
 
 
-def _repeat(whole: Record, times: int) -> Record:
-    """The same record for every realisation, without copying it."""
-
-    def repeat(a: Array) -> Array:
-        return np.broadcast_to(a, (times, *a.shape))
-
-    return whole._replace(u=repeat(whole.u), y=repeat(whole.y), mask=repeat(whole.mask))
-
-
-def _generate(realisations: int, wanted: _Wanted, seed: int) -> _Raw:
-    """Each record has a random stream of its own, so that fewer samples or realisations are a part of more."""
-    test = _simulate(np.random.default_rng((seed, 0)), wanted.test)
-    streams = [np.random.default_rng((seed, 1, i)).spawn(2) for i in range(realisations)]
-    train = [_simulate(first, wanted.train) for first, _ in streams]
-    return _Raw(train, [_simulate(second, wanted.validation) for _, second in streams], test)
-
-
-def _simulate(rng: np.random.Generator, n: int) -> _Signals:
+def _simulate(rng: np.random.Generator, n: int) -> Signals:
     inputs, process, sensor = rng.spawn(3)
     u = inputs.uniform(-_U_LARGEST, _U_LARGEST, size=(n, 1))
     pushes = u * B + _W_STD * process.standard_normal((n, 2))
     x, levels = np.zeros(2), np.empty((n, 2))
     for t, push in enumerate(pushes):
         x = levels[t] = A @ x + push
-    return _Signals(u, (levels @ C)[:, None] + _V_STD * sensor.standard_normal((n, 1)))
+    return u, (levels @ C)[:, None] + _V_STD * sensor.standard_normal((n, 1))
 
 
-def _read(folder: Path, realisations: int, wanted: _Wanted) -> _Raw:
-    train, validation = [], []
-    for i in range(realisations):
-        file = folder / _TRAIN_FILE.format(i)
-        train.append(_read_signals(file, "train", wanted.train))
-        validation.append(_read_signals(file, "val", wanted.validation))
-    return _Raw(train, validation, _read_signals(folder / _TEST_FILE, "test", wanted.test))
-
-
-def _read_signals(file: Path, part: str, count: int) -> _Signals:
+def _read(file: Path, part: str, count: int) -> Signals:
     """The first `count` samples of u_<part> and y_<part> of a file."""
     try:
         with file.open("rb") as stream, np.load(stream, allow_pickle=False) as arrays:
@@ -149,8 +104,6 @@ def _read_signals(file: Path, part: str, count: int) -> _Signals:
         if len(shape) != 2 or shape[1] != 1 or shape[0] < count:
             raise ValueError(f"{file}: array {key!r}: expected shape (at least {count}, 1), found {shape}")
         if not np.isfinite(found[key][:count]).all():
-            line = int(np.flatnonzero(~np.isfinite(found[key][:count, 0]))[0])
-            raise ValueError(
-                f"{file}: array {key!r}: expected finite numbers, found {found[key][line, 0]} at t = {line}"
-            )
-    return _Signals(found[f"u_{part}"][:count], found[f"y_{part}"][:count])
+            t = int(np.flatnonzero(~np.isfinite(found[key][:count, 0]))[0])
+            raise ValueError(f"{file}: array {key!r}: expected finite numbers, found {found[key][t, 0]} at t = {t}")
+    return found[f"u_{part}"][:count], found[f"y_{part}"][:count]

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.io
 from jaxtyping import Float
 
 from pgrssnn_jax.records.table import fingerprint
@@ -39,8 +38,9 @@ class MatFile(NamedTuple):
 def read_mat(path: str | Path, joints: int, samples: int) -> MatFile:
     """The three parts of a file. joints: rows of every array; samples: of one sequence."""
     arrays, digest = _load(path)
-    matrices = {key: _matrix(path, arrays, key, joints) for part in ("train", "val", "test") for key in _keys(part)}
-    parts = [_cut(path, matrices, part, samples) for part in ("train", "val", "test")]
+    keys = [(f"u_{part}", f"y_{part}") for part in ("train", "val", "test")]
+    matrices = {key: _matrix(path, arrays, key, joints) for pair in keys for key in pair}
+    parts = [_cut(path, matrices, *pair, samples) for pair in keys]
     largest = max(float(np.abs(part.y).max()) for part in parts)
     if largest < 2 * np.pi:
         raise ValueError(
@@ -48,10 +48,6 @@ def read_mat(path: str | Path, joints: int, samples: int) -> MatFile:
         )
     train, validation, test = (part._replace(y=np.deg2rad(part.y)) for part in parts)
     return MatFile(train, validation, test, digest)
-
-
-def _keys(part: str) -> tuple[str, str]:
-    return f"u_{part}", f"y_{part}"
 
 
 def _load(path: str | Path) -> tuple[Mapping[str, Any], str]:
@@ -65,6 +61,8 @@ def _load(path: str | Path) -> tuple[Mapping[str, Any], str]:
     # Said first because SciPy takes some of these files for damaged ones.
     if content.startswith((b"\x89HDF", b"MATLAB 7.3")):
         raise ValueError(f"{path}: expected a MAT file up to version 7.2, found version 7.3 (save it with '-v7')")
+    import scipy.io  # takes a tenth of a second, which no other command has to spend
+
     try:
         found = scipy.io.loadmat(io.BytesIO(content))
     except Exception as error:  # SciPy's reader raises whatever a damaged file leads it to
@@ -89,11 +87,9 @@ def _matrix(path: str | Path, arrays: Mapping[str, Any], key: str, joints: int) 
     return found.astype(np.float64)
 
 
-def _cut(
-    path: str | Path, matrices: Mapping[str, Float[np.ndarray, "n columns"]], part: str, samples: int
-) -> Sequences:
+def _cut(path: str | Path, matrices: Mapping[str, np.ndarray], u_key: str, y_key: str, samples: int) -> Sequences:
     """`[seq, samples, n]` from `[n, samples · seq]`."""
-    (u_key, y_key), (u, y) = _keys(part), (matrices[key] for key in _keys(part))
+    u, y = matrices[u_key], matrices[y_key]
     if u.shape != y.shape:
         raise ValueError(f"{path}: array {y_key!r}: expected {u.shape[1]} columns, as {u_key!r}, found {y.shape[1]}")
     if not u.shape[1] or u.shape[1] % samples:

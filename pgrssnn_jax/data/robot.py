@@ -9,30 +9,24 @@ the measured arm, an encoder's 1e-4 rad.
 Source: Weigand, Götz, Ulmen, Ruskowski, industrial robot identification benchmark; Li, Seth, Kok, IFAC 2026.
 """
 
-import itertools
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.data.arm_simulator import JOINTS, SAMPLE_TIME, ArmSimulator, simulated_arm
 from pgrssnn_jax.data.download import download_robot
 from pgrssnn_jax.data.mat import Sequences, read_mat
-from pgrssnn_jax.data.sources import (
-    VARIABLE,
-    channels,
-    data_folder,
-    published_folder,
-    say_nothing,
-)
+from pgrssnn_jax.data.sources import channels, check_generated, measured_data, published_folder, say_nothing
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.arguments import check_count
-from pgrssnn_jax.records.record import Channel, Record, RecordInfo, Splits, record, stack
+from pgrssnn_jax.records.record import Channel, RecordInfo, Splits, record, stack
 from pgrssnn_jax.records.table import fingerprint
 
+JOINTS, SAMPLE_TIME = 6, 0.1  # s
 REAL_SAMPLES, SIMULATED_SAMPLES = 605, 606
 _REAL_FILE = "robot_real/forward_identification_without_raw_data_shifted.mat"
 _SIMULATED_FOLDER = "robot_simulated"
@@ -42,22 +36,11 @@ _ENCODER = 1e-4  # rad
 
 
 class _Found(NamedTuple):
-    """train, validation, test: one for every dataset; origin: in words."""
+    """datasets: train, validation and test sequences of each; origin: in words."""
 
-    train: list[Sequences]
-    validation: list[Sequences]
-    test: list[Sequences]
+    datasets: list[tuple[Sequences, ...]]
     source: str
     origin: str
-
-
-class _Less(NamedTuple):
-    """Sequences of each part and samples of every sequence; None: all."""
-
-    train: int | None
-    validation: int | None
-    test: int | None
-    samples: int | None
 
 
 def load_robot_real(
@@ -81,9 +64,15 @@ def load_robot_real(
     take. Raises `ValueError` for a bad file, for another physics than one of six joints at 10 Hz, and for more than
     there is.
     """
-    _check(physics, seed, generated and path is not None, "a file")
-    found = _simulated_real(seed) if generated else _find_real(path, seed, notify, timeout)
-    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics, "robot_real")
+    check_generated(generated, seed, path, "a file")
+    _check(physics)
+    simulate = partial(_simulated, seed, REAL_SAMPLES, 1, f"built-in simulated arm, seed {seed}", noise=_ENCODER)
+    if generated:
+        found = simulate()
+    else:
+        download, arm = partial(_downloaded, timeout), f"ARM (seed {seed})"
+        found = measured_data(path, _REAL_FILE, _read_real, download, simulate, notify, simulated=arm)
+    return _splits(found, (n_train, n_validation, n_test), n_samples, physics, "robot_real")
 
 
 def load_robot_simulated(
@@ -105,20 +94,18 @@ def load_robot_simulated(
     realisations: files, each a dataset. n_train, n_validation, n_test, n_samples, generated, seed and notify as for
     `load_robot_real`.
     """
-    _check(physics, seed, generated and path is not None, "a folder")
+    check_generated(generated, seed, path, "a folder")
+    _check(physics)
     check_count("data.realisations", realisations, 1, 1000, "datasets")
     folder = None if generated else published_folder(_SIMULATED_FOLDER, path, seed, notify)
     if folder is None:
-        found = _simulated(seed, SIMULATED_SAMPLES, realisations, ArmSimulator(), f"generated, seed {seed}")
+        found = _simulated(seed, SIMULATED_SAMPLES, realisations, f"generated, seed {seed}")
     else:
         found = _read(folder, realisations)
-    return _splits(found, _Less(n_train, n_validation, n_test, n_samples), physics, "robot_simulated")
+    return _splits(found, (n_train, n_validation, n_test), n_samples, physics, "robot_simulated")
 
 
-def _check(physics: Physics | None, seed: int, contradiction: bool, what: str) -> None:
-    if contradiction:
-        raise ValueError(f"data.generated: expected false where data.path names {what}, found true")
-    check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
+def _check(physics: Physics | None) -> None:
     if physics is None:
         return
     sizes = len(physics.inputs), len(physics.outputs)
@@ -133,24 +120,9 @@ def _check(physics: Physics | None, seed: int, contradiction: bool, what: str) -
         )
 
 
-def _find_real(path: str | Path | None, seed: int, notify: Callable[[str], None], timeout: float) -> _Found:
-    folder = data_folder() if path is None else None
-    if path is None and folder is not None:
-        if (folder / _REAL_FILE).exists():
-            path = folder / _REAL_FILE
-        else:
-            notify(f"data: {VARIABLE}: no {_REAL_FILE} in that folder, trying a download instead")
-    if path is not None:
-        train, validation, test, digest = read_mat(path, JOINTS, REAL_SAMPLES)
-        return _Found([train], [validation], [test], "file", f"{Path(path).name}, sha256 {digest}…")
-    try:
-        return _downloaded(timeout)
-    except ConnectionError as reason:
-        notify(
-            f"data: NO MEASURED DATA, USING A SIMULATED ARM (seed {seed}): the download failed ({reason}); "
-            f"for measured data set data.path=FILE.mat or {VARIABLE}"
-        )
-        return _simulated_real(seed)
+def _read_real(path: str | Path) -> _Found:
+    *parts, digest = read_mat(path, JOINTS, REAL_SAMPLES)
+    return _Found([tuple(parts)], "file", f"{Path(path).name}, sha256 {digest}…")
 
 
 def _downloaded(timeout: float) -> _Found:
@@ -160,8 +132,8 @@ def _downloaded(timeout: float) -> _Found:
         raise ConnectionError(f"expected at least two training sequences, found {len(train)}")
     most, last, tested = _SPLIT
     rest = len(train) - min(last, len(train) // 2)
-    fitted, validated, held_out = (_aligned(part) for part in (train[: min(most, rest)], train[rest:], test[:tested]))
-    return _Found([fitted], [validated], [held_out], "download", "package nonlinear_benchmarks")
+    parts = tuple(_aligned(part) for part in (train[: min(most, rest)], train[rest:], test[:tested]))
+    return _Found([parts], "download", "package nonlinear_benchmarks")
 
 
 def _aligned(part: Float[np.ndarray, "seq time 12"]) -> Sequences:
@@ -171,29 +143,29 @@ def _aligned(part: Float[np.ndarray, "seq time 12"]) -> Sequences:
 
 def _read(folder: Path, realisations: int) -> _Found:
     files = [read_mat(folder / _SIMULATED_FILE.format(i), JOINTS, SIMULATED_SAMPLES) for i in range(realisations)]
-    sizes = [tuple(len(part.u) for part in (file.train, file.validation, file.test)) for file in files]
+    sizes = [tuple(len(part.u) for part in file[:3]) for file in files]
     for i, size in enumerate(sizes):
         if size != sizes[0]:
             file, first = folder / _SIMULATED_FILE.format(i), _SIMULATED_FILE.format(0)
             raise ValueError(f"{file}: sequences: expected {sizes[0]} (train, val, test), as {first}, found {size}")
     together = fingerprint("".join(file.digest for file in files).encode())
     origin = f"{_SIMULATED_FILE.format(f'0..{realisations - 1}')}, sha256 of their digests {together}…"
-    train, validation, test, _ = (list(part) for part in zip(*files, strict=True))
-    return _Found(train, validation, test, "file", origin)
+    return _Found([file[:3] for file in files], "file", origin)
 
 
-def _simulated_real(seed: int) -> _Found:
-    return _simulated(seed, REAL_SAMPLES, 1, ArmSimulator(noise=_ENCODER), f"built-in simulated arm, seed {seed}")
+def _simulated(seed: int, samples: int, realisations: int, origin: str, **changes: float) -> _Found:
+    from pgrssnn_jax.data.arm_simulator import ArmSimulator, simulated_arm  # loads Pinocchio
+
+    u, _, y = simulated_arm(seed, sum(_SPLIT), samples, realisations, ArmSimulator()._replace(**changes))
+    ends = np.cumsum(_SPLIT)[:-1]
+    datasets = [tuple(map(Sequences, np.split(u, ends), np.split(one, ends))) for one in y]
+    return _Found(datasets, "simulated", origin)
 
 
-def _simulated(seed: int, samples: int, realisations: int, simulator: ArmSimulator, origin: str) -> _Found:
-    u, _, y = simulated_arm(seed, sum(_SPLIT), samples, realisations, simulator)
-    ends = np.cumsum((0, *_SPLIT))
-    train, validation, test = ([Sequences(u[a:b], one[a:b]) for one in y] for a, b in itertools.pairwise(ends))
-    return _Found(train, validation, test, "simulated", origin)
-
-
-def _splits(found: _Found, less: _Less, physics: Physics | None, benchmark: str) -> Splits:
+def _splits(
+    found: _Found, wanted: tuple[int | None, ...], samples: int | None, physics: Physics | None, benchmark: str
+) -> Splits:
+    """wanted: sequences of each part, samples: of every sequence; None: all."""
     if physics is None:
         inputs = tuple(Channel(f"torque_{i + 1}", "Nm") for i in range(JOINTS))
         outputs = tuple(Channel(f"position_{i + 1}", "rad") for i in range(JOINTS))
@@ -201,22 +173,15 @@ def _splits(found: _Found, less: _Less, physics: Physics | None, benchmark: str)
         inputs, outputs = channels(physics.inputs), channels(physics.outputs)
     dt = SAMPLE_TIME if physics is None else physics.dt
     info = RecordInfo(inputs, outputs, dt, found.source, found.origin, start="rest", benchmark=benchmark)
-    longest = found.train[0].u.shape[1]
-    samples = _count("data.n_samples", less.samples, longest, f"samples per sequence in {found.origin}")
-
-    def part(name: str, sequences: list[Sequences], wanted: int | None) -> Record:
-        count = _count(f"data.n_{name}", wanted, len(sequences[0].u), f"{name} sequences in {found.origin}")
-        return stack([record(u[:count, :samples], y[:count, :samples], info) for u, y in sequences])
-
-    return Splits(
-        part("train", found.train, less.train),
-        part("validation", found.validation, less.validation),
-        part("test", found.test, less.test),
-    )
+    longest = found.datasets[0][0].u.shape[1]
+    samples = _count("data.n_samples", samples, longest, f"samples per sequence in {found.origin}")
+    parts = []
+    for name, part, some in zip(Splits._fields, zip(*found.datasets, strict=True), wanted, strict=True):
+        count = _count(f"data.n_{name}", some, len(part[0].u), f"{name} sequences in {found.origin}")
+        parts.append(stack([record(u[:count, :samples], y[:count, :samples], info) for u, y in part]))
+    return Splits(*parts)
 
 
 def _count(name: str, wanted: int | None, most: int, what: str) -> int:
-    if wanted is None:
-        return most
-    check_count(name, wanted, 1, most, what)
-    return wanted
+    check_count(name, most if wanted is None else wanted, 1, most, what)
+    return most if wanted is None else wanted

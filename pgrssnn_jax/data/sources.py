@@ -1,17 +1,27 @@
-"""Where data comes from: the folder named by the environment variable PGRSSNN_DATA, and what a loader says of it."""
+"""Where data comes from: the folder named by the environment variable PGRSSNN_DATA, a download, or a simulator."""
 
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeVar
 
 from pgrssnn_jax.physics.base import Signal
+from pgrssnn_jax.records.arguments import check_count
 from pgrssnn_jax.records.record import Channel
 
 VARIABLE = "PGRSSNN_DATA"
+Found = TypeVar("Found")
 
 
 def say_nothing(line: str) -> None:
     """The `notify` of a caller who wants no lines."""
+
+
+def check_generated(generated: bool, seed: int, path: str | Path | None, what: str) -> None:
+    """Raises `ValueError` for data that are to be generated and read at once, and for a bad seed."""
+    if generated and path is not None:
+        raise ValueError(f"data.generated: expected false where data.path names {what}, found true")
+    check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
 
 
 def data_folder() -> Path | None:
@@ -27,6 +37,36 @@ def data_folder() -> Path | None:
         found = "a file" if folder.exists() else "nothing there"
         raise ValueError(f"{VARIABLE}: expected the folder that holds the data, found {found}: {named}")
     return folder
+
+
+def measured_data(
+    path: str | Path | None,
+    file: str,
+    read: Callable[[str | Path], Found],
+    download: Callable[[], Found],
+    simulate: Callable[[], Found],
+    notify: Callable[[str], None],
+    *,
+    simulated: str,
+) -> Found:
+    """Measured data from `path`, else from `file` under PGRSSNN_DATA, else from a download, else simulated; simulated:
+    by what, for the user, who is told of each source that was passed over."""
+    if path is None and (folder := data_folder()) is not None:
+        if (folder / file).exists():
+            path = folder / file
+        else:
+            notify(f"data: {VARIABLE}: no {file} in that folder, trying a download instead")
+    if path is not None:
+        return read(path)
+    try:
+        return download()
+    except ConnectionError as reason:
+        found = simulate()
+        notify(
+            f"data: NO MEASURED DATA, USING A SIMULATED {simulated}: the download failed ({reason}); "
+            f"for measured data set data.path=FILE{Path(file).suffix} or {VARIABLE}"
+        )
+        return found
 
 
 def published_folder(name: str, path: str | Path | None, seed: int, notify: Callable[[str], None]) -> Path | None:

@@ -9,6 +9,8 @@ its coefficients are near the published estimates, not equal to them: the physic
 a volt. Bandwidth, mean and spread of u are those of the measured records (Schoukens and Noël, Cascaded Tanks, 2016).
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -69,24 +71,26 @@ def simulate(
     step = SAMPLE_TIME / _SUB_STEPS
     true = np.empty_like(u)
     for t, voltage in enumerate(u):
+        slope = partial(_slope, simulator=simulator, voltage=voltage)
         for _ in range(_SUB_STEPS):
-            h = np.maximum(_runge_kutta(simulator, h, voltage, step), 0.0)
+            h = np.maximum(runge_kutta(slope, h, step), 0.0)
             spilt = np.maximum(h[0] - simulator.rim, 0.0)
             h = h + np.stack([-spilt, simulator.share * spilt])
         true[t] = h[1]
     return np.clip(true + simulator.noise * rng.standard_normal(u.shape), 0.0, SENSOR_END)
 
 
-def _slope(simulator: TankSimulator, h: np.ndarray, voltage: np.ndarray) -> np.ndarray:
+def _slope(h: np.ndarray, simulator: TankSimulator, voltage: np.ndarray) -> np.ndarray:
     upper, lower = np.maximum(h, 0.0)
     q1 = simulator.k1 * np.sqrt(upper) - simulator.k2 * upper
     q2 = simulator.k4 * np.sqrt(lower) - simulator.k5 * lower
     return np.stack([simulator.k3 * voltage - q1, q1 - q2])
 
 
-def _runge_kutta(simulator: TankSimulator, h: np.ndarray, voltage: np.ndarray, step: float) -> np.ndarray:
-    a = _slope(simulator, h, voltage)
-    b = _slope(simulator, h + step / 2 * a, voltage)
-    c = _slope(simulator, h + step / 2 * b, voltage)
-    d = _slope(simulator, h + step * c, voltage)
-    return h + step / 6 * (a + 2 * b + 2 * c + d)
+def runge_kutta(slope: Callable[[np.ndarray], np.ndarray], x: np.ndarray, step: float) -> np.ndarray:
+    """The state a step later, by the classical rule of fourth order."""
+    a = slope(x)
+    b = slope(x + step / 2 * a)
+    c = slope(x + step / 2 * b)
+    d = slope(x + step * c)
+    return x + step / 6 * (a + 2 * b + 2 * c + d)

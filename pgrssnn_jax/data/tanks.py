@@ -12,6 +12,7 @@ Source: Schoukens and Noël, Cascaded Tanks benchmark combining soft and hard no
 import hashlib
 import math
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.data.download import download_tanks
-from pgrssnn_jax.data.sources import VARIABLE, data_folder, say_nothing
+from pgrssnn_jax.data.sources import check_generated, measured_data, say_nothing
 from pgrssnn_jax.data.tank_simulator import SAMPLE_TIME, estimation_and_test
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.arguments import check_count
@@ -27,6 +28,7 @@ from pgrssnn_jax.records.record import Channel, RecordInfo, Splits, crop, record
 from pgrssnn_jax.records.table import column, numbers, problem, read_table
 
 _FILE = "cascaded_tanks/dataBenchmark.csv"
+_CLOCK = 0.01  # of the sample time
 _COLUMNS = ("uEst", "uVal", "yEst", "yVal")
 _PUBLISHED = "c28ec4bde8563e8f8827561dd07b85941e45cb96326f4249a04823ed4c9f00dd"
 
@@ -58,11 +60,15 @@ def load_cascaded_tank(
     timeout: s that a download may take. Raises `ValueError` for a bad file, for another sample time than that of
     `physics`, and for more samples than there are.
     """
-    if generated and path is not None:
-        raise ValueError("data.generated: expected false where data.path names a file, found true")
-    check_count("data.seed", seed, 0, 2**63 - 1, "as a seed")
+    check_generated(generated, seed, path, "a file")
     dt = SAMPLE_TIME if physics is None else physics.dt
-    found = _simulated(dt, seed) if generated else _find(path, dt, seed, notify, timeout)
+    simulate = partial(_simulated, dt, seed)
+    if generated:
+        found = simulate()
+    else:
+        read, download = partial(_read, dt=dt), partial(_downloaded, dt, timeout)
+        plant = f"TWO-TANK PLANT (seed {seed})"
+        found = measured_data(path, _FILE, read, download, simulate, notify, simulated=plant)
     check_count("data.n_validation", n_validation, 1, len(found.columns) - 1, f"samples in {found.origin}")
     rest = len(found.columns) - n_validation
     n_train = rest if n_train is None else n_train
@@ -74,24 +80,8 @@ def load_cascaded_tank(
     return Splits(*(stack([part]) for part in parts))
 
 
-def _find(path: str | Path | None, dt: float, seed: int, notify: Callable[[str], None], timeout: float) -> _Found:
-    folder = data_folder() if path is None else None
-    if path is None and folder is not None:
-        if (folder / _FILE).exists():
-            path = folder / _FILE
-        else:
-            notify(f"data: {VARIABLE}: no {_FILE} in that folder, trying a download instead")
-    if path is not None:
-        return _read(path, dt)
-    try:
-        columns, sample_time = download_tanks(timeout)
-    except ConnectionError as reason:
-        found = _simulated(dt, seed)
-        notify(
-            f"data: NO MEASURED DATA, USING A SIMULATED TWO-TANK PLANT (seed {seed}): the download failed ({reason}); "
-            f"for measured data set data.path=FILE.csv or {VARIABLE}"
-        )
-        return found
+def _downloaded(dt: float, timeout: float) -> _Found:
+    columns, sample_time = download_tanks(timeout)
     _check_sample_time(dt, sample_time, "the downloaded data")
     return _Found(columns, "download", f"package nonlinear_benchmarks, {_verdict(columns)}")
 
@@ -105,11 +95,9 @@ def _read(path: str | Path, dt: float) -> _Found:
     columns = np.stack([numbers(table, name) for name in _COLUMNS], axis=1)
     first_row = np.arange(len(table.lines)) == 0
     sample_time = float(numbers(table, "Ts", first_row)[0])
-    if not _agrees(sample_time, dt):
-        expected = f"{dt:g} s (the physics' dt)"
-        raise problem(path, table.lines[0], "Ts", expected, f"{sample_time:g} s")
-    origin = f"{Path(path).name}, sha256 {table.digest}…, {_verdict(columns)}"
-    return _Found(columns, "file", origin)
+    if not math.isclose(sample_time, dt, rel_tol=_CLOCK):
+        raise problem(path, table.lines[0], "Ts", f"{dt:g} s (the physics' dt)", f"{sample_time:g} s")
+    return _Found(columns, "file", f"{Path(path).name}, sha256 {table.digest}…, {_verdict(columns)}")
 
 
 def _simulated(dt: float, seed: int) -> _Found:
@@ -118,12 +106,8 @@ def _simulated(dt: float, seed: int) -> _Found:
 
 
 def _check_sample_time(dt: float, found: float, whose: str) -> None:
-    if not _agrees(found, dt):
+    if not math.isclose(found, dt, rel_tol=_CLOCK):
         raise ValueError(f"physics.dt: expected {found:g} s, the sample time of {whose}, found {dt:g} s")
-
-
-def _agrees(sample_time: float, dt: float) -> bool:
-    return math.isclose(sample_time, dt, rel_tol=0.01)
 
 
 def _verdict(columns: Float[np.ndarray, "time 4"]) -> str:

@@ -60,31 +60,27 @@ class Networks(nnx.Module):
     """All networks of one model; call order is the rollout's matter (`rollout.py`)."""
 
     def __init__(self, spec: ModelSpec, *, n_u: int, n_x: int, n_y: int, rngs: nnx.Rngs) -> None:
-        n_h, act = spec.hidden, spec.activation
-        self.correction = spec.correction if spec.guided else 1.0
-        n_mixed = 2 * n_h if spec.recurrent else n_h
+        n_h, act, radial = spec.hidden, spec.activation, spec.features == "radial"
         zero = spec.start_from_physics and spec.guided
-        if spec.features == "radial":
-            self._build_radial(spec, n_u, n_x, n_y, zero, rngs)
-            return
-        self.features_u = TwoDense(n_u + (n_x if spec.feedback else 0), n_h, n_h, act, rngs=rngs)
+
+        def features(n_in: int) -> Any:
+            return Radial(n_in, n_h, rngs=rngs) if radial else TwoDense(n_in, n_h, n_h, act, rngs=rngs)
+
+        def head(n_out: int) -> Any:
+            if not radial:
+                return TwoDense(n_h, n_h, n_out, act, zero_out=zero, rngs=rngs)
+            init = _zeros if zero else _uniform_fan_in(n_h)
+            return nnx.Linear(n_h, n_out, use_bias=False, kernel_init=init, rngs=rngs)
+
+        # the order of the calls is that of the random numbers
+        self.correction = spec.correction if spec.guided else 1.0
+        self.features_u = features(n_u + (n_x if spec.feedback else 0))
         layers = spec.gru_layers if spec.recurrent else 0
         self.gru = nnx.List([GRU(n_h, n_h, bias=spec.gru_bias, rngs=rngs) for _ in range(layers)])
-        self.mixer = TwoDense(n_mixed, n_h, n_h, act, rngs=rngs)
-        self.head_x = TwoDense(n_h, n_h, n_x, act, zero_out=zero, rngs=rngs)
-        self.features_x = TwoDense(n_u + n_x, n_h, n_h, act, rngs=rngs)
-        self.head_y = TwoDense(n_h, n_h, n_y, act, zero_out=zero, rngs=rngs)
-
-    def _build_radial(self, spec: ModelSpec, n_u: int, n_x: int, n_y: int, zero: bool, rngs: nnx.Rngs) -> None:
-        def weights(n_out: int) -> nnx.Linear:
-            init = _zeros if zero else _uniform_fan_in(spec.hidden)
-            return nnx.Linear(spec.hidden, n_out, use_bias=False, kernel_init=init, rngs=rngs)
-
-        self.features_u = Radial(n_u + (n_x if spec.feedback else 0), spec.hidden, rngs=rngs)
-        self.gru, self.mixer = nnx.List([]), None
-        self.head_x = weights(n_x)
-        self.features_x = Radial(n_u + n_x, spec.hidden, rngs=rngs)
-        self.head_y = weights(n_y)
+        self.mixer = None if radial else TwoDense(2 * n_h if layers else n_h, n_h, n_h, act, rngs=rngs)
+        self.head_x = head(n_x)
+        self.features_x = features(n_u + n_x)
+        self.head_y = head(n_y)
 
     def f_nn(self, h: Float[jax.Array, "*batch hidden"] | None, phi: Float[jax.Array, "*batch hidden"]) -> jax.Array:
         """State correction from the GRU state *before* it saw u_t (None without a GRU) and φ_u."""

@@ -75,12 +75,7 @@ def _physics_step(model: Model, params: ModelParams, x: jax.Array, u: jax.Array)
 
 
 def _fused(
-    model: Model,
-    params: ModelParams,
-    networks: Networks | None,
-    u: jax.Array,
-    x0: jax.Array,
-    held: jax.Array | None,
+    model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array, held: jax.Array | None
 ) -> jax.Array:
     """x `[time, seq, x]` by one scan; the carry is one packed array `[seq, x + layers · hidden]`."""
     n_x, hidden = model.n_x, model.spec.hidden
@@ -108,19 +103,17 @@ def _fused(
 
 
 def _split(
-    model: Model,
-    params: ModelParams,
-    networks: Networks | None,
-    u: jax.Array,
-    x0: jax.Array,
-    held: jax.Array | None,
+    model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array, held: jax.Array | None
 ) -> jax.Array:
     """x `[time, seq, x]` with everything but the two recurrences batched over time."""
     if networks is None:
         correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
     else:
         phi = networks.features_u(params.scaling.u.to_scaled(u))
-        h_before = gru_states_before(networks, phi) if len(networks.gru) else None
+        states = phi
+        for layer in networks.gru:
+            states = layer.scan(layer.project(states))
+        h_before = delayed(states) if len(networks.gru) else None
         correction = params.scaling.x.unscale_difference(networks.f_nn(h_before, phi))
     if not model.spec.guided:
         return correction
@@ -135,14 +128,6 @@ def _split(
 
 def _hold(held: list[jax.Array], old: jax.Array, new: jax.Array) -> jax.Array:
     return jnp.where(held[0][:, None], old, new) if held else new
-
-
-def gru_states_before(networks: Networks, phi: Float[jax.Array, "time seq hidden"]) -> jax.Array:
-    """h_{t-1} of the last layer, `[time, seq, hidden]`; each layer's input projection is batched over time."""
-    states = phi
-    for layer in networks.gru:
-        states = layer.scan(layer.project(states))
-    return delayed(states)
 
 
 def _measure(model: Model, params: ModelParams, networks: Networks | None, x: jax.Array, u: jax.Array) -> jax.Array:

@@ -17,21 +17,18 @@ from pgrssnn_jax.records.scaling import Scaling, identity, real_samples, signal_
 
 def model_scaling(model: Model, train: Record, *, rates_like_outputs: bool = False) -> Scaling:
     """Scaling of this model's signals from one training record; a black box's states are left as they are."""
-    physics = model.physics if model.spec.guided else None
-    scaling = fit_scaling(train, physics, rates_like_outputs=rates_like_outputs)
-    return scaling if model.spec.guided else scaling._replace(x=identity(model.n_x))
+    if model.spec.guided:
+        return fit_scaling(train, model.physics, rates_like_outputs=rates_like_outputs)
+    u, y = signal_scaling(train)
+    return Scaling(u, identity(model.n_x), y)
 
 
-def fit_scaling(train: Record, physics: Physics | None, *, rates_like_outputs: bool = False) -> Scaling:
+def fit_scaling(train: Record, physics: Physics, *, rates_like_outputs: bool = False) -> Scaling:
     """Scaling of all signals from one training record `[seq, time, channel]`.
 
-    physics None (black box): states have no unit, their scaling is the identity and its width is not known
-    here, so x is returned empty. rates_like_outputs: a `rate_of` an output takes that output's scaling, offset
-    included, as in the published code.
+    rates_like_outputs: a `rate_of` an output takes that output's scaling, offset included, as in the published code.
     """
     u, y = signal_scaling(train)
-    if physics is None:
-        return Scaling(u, identity(0), y)
     outputs = [signal.name for signal in physics.outputs]
     offset, scale = np.zeros(len(physics.states)), np.ones(len(physics.states))
     rates = [measured_rate(physics, state) for state in physics.states]

@@ -19,20 +19,17 @@ def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, 
     prefix = f"{where}." if where else ""
     named = getattr(function, "func", function)  # functools.partial
     hints = get_type_hints(named.__init__ if inspect.isclass(named) else named)
-    parameters = inspect.signature(function).parameters
+    every = inspect.signature(function).parameters
+    parameters = {name: p for name, p in every.items() if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
     known = [name for name in parameters if name not in more]
-    anything = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    anything = any(p.kind is p.VAR_KEYWORD for p in every.values())
     for name in group:
         if name not in known and not anything:
             raise ValueError(f"{where or 'configuration'}: expected the keys {known}, found {name!r}")
     arguments = {name: _checked(value, hints.get(name, Any), f"{prefix}{name}") for name, value in group.items()}
     arguments |= {name: value for name, value in more.items() if name in parameters}
     for name, parameter in parameters.items():
-        optional = parameter.default is not parameter.empty or parameter.kind in (
-            parameter.VAR_KEYWORD,
-            parameter.VAR_POSITIONAL,
-        )
-        if not optional and name not in arguments:
+        if parameter.default is parameter.empty and name not in arguments:
             raise ValueError(f"{prefix}{name}: expected a value, found none")
     return function(**arguments)
 
@@ -59,11 +56,9 @@ def _accepts(option: Any, value: Any) -> bool:
 def _named(options: tuple[Any, ...]) -> str:
     words: list[str] = []
     for option in options:
-        if get_origin(option) is Literal:
-            words += [str(choice) for choice in get_args(option)]
-        else:
-            origin = get_origin(option) or option
-            words.append({type(None): "null", Sequence: "a list"}.get(origin, getattr(origin, "__name__", str(origin))))
+        kind = get_origin(option) or option
+        named = {type(None): "null", Sequence: "a list"}.get(kind, getattr(kind, "__name__", str(kind)))
+        words += map(str, get_args(option)) if kind is Literal else [named]
     return " | ".join(words)
 
 

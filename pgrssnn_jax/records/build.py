@@ -1,13 +1,11 @@
 """A record from arrays in memory."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Start, record
-
-_STARTS = ("unknown", "rest", "shared")
+from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Start, padded, record
 
 
 def record_from(
@@ -30,8 +28,8 @@ def record_from(
     """
     if not dt > 0:
         raise ValueError(f"record: dt: expected a positive sample time in seconds, found {dt}")
-    if start not in _STARTS:
-        raise ValueError(f"record: start: expected one of {list(_STARTS)}, found {start!r}")
+    if start not in get_args(Start):
+        raise ValueError(f"record: start: expected one of {list(get_args(Start))}, found {start!r}")
     for name, named in (("inputs", inputs), ("outputs", outputs)):
         if not isinstance(named, Mapping):
             raise ValueError(f"record: {name}: expected names with units, {{'pump_voltage': 'V'}} say, found {named!r}")
@@ -45,10 +43,10 @@ def record_from(
     longest = max(lengths[0])
     measured = [m.astype(bool) & np.isfinite(one) for m, one in zip(masks, ys, strict=True)]
     names_u, names_y = (tuple(Channel(str(name), unit) for name, unit in named.items()) for named in (inputs, outputs))
-    padded = min(lengths[0]) < longest
-    info = RecordInfo(names_u, names_y, float(dt), "record", "arrays in memory", padded=padded, start=start)
-    u, y = (np.stack([_padded(one, longest) for one in part]) for part in (us, ys))
-    return record(u, y, info, np.stack([_padded(one, longest, False) for one in measured]))
+    unequal = min(lengths[0]) < longest
+    info = RecordInfo(names_u, names_y, float(dt), "record", "arrays in memory", padded=unequal, start=start)
+    u, y, mask = (np.stack([padded(one, longest) for one in part]) for part in (us, ys, measured))
+    return record(u, y, info, mask)
 
 
 def _sequences(name: str, signal: Any, channels: int) -> list[np.ndarray]:
@@ -65,11 +63,3 @@ def _sequences(name: str, signal: Any, channels: int) -> list[np.ndarray]:
     if not parts:
         raise ValueError(f"record: {name}: expected at least one sequence, found none")
     return [one if one.dtype == bool else one.astype(np.float64, copy=False) for one in parts]
-
-
-def _padded(signal: np.ndarray, time: int, fill: bool | None = None) -> np.ndarray:
-    """Up to `time` samples: the last one repeated, or `fill`."""
-    rest = [(0, time - len(signal)), (0, 0)]
-    if fill is None:
-        return np.pad(signal, rest, mode="edge")
-    return np.pad(signal, rest, constant_values=fill)

@@ -8,10 +8,8 @@ Sequences of unequal length are padded at their end with their last input; the p
 `ValueError` with one sentence: file, line, column, what was expected, what was found.
 """
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int
@@ -23,17 +21,11 @@ _TOLERANCE = 0.01  # of dt: clocks and rounded time stamps are no better
 
 
 def read_csv(
-    path: str | Path,
-    inputs: Sequence[Channel],
-    outputs: Sequence[Channel],
-    dt: float,
-    *,
-    n_min: int = 2,
-    start: Start = "unknown",
+    path: str | Path, inputs: Sequence[Channel], outputs: Sequence[Channel], dt: float, *, start: Start = "unknown"
 ) -> Record:
     """u `[seq, time, u]` and y `[seq, time, y]` in float64, sampled every `dt` seconds.
 
-    n_min: fewest samples of a sequence; start: what is known of x_0. Columns that are not asked for are ignored.
+    start: what is known of x_0. Columns that are not asked for are ignored.
     """
     table = read_table(path)
     if not table.lines:
@@ -41,7 +33,7 @@ def read_csv(
     # Every column that is missing is found before the first bad cell.
     for channel in (*inputs, *outputs):
         column(table, channel.name)
-    rows = _sequences(table, n_min)
+    rows = _sequences(table)
     measured = np.stack([_measured(table, channel.name) for channel in outputs], axis=1)
     u = np.stack([numbers(table, channel.name) for channel in inputs], axis=1)
     y = np.stack([numbers(table, channel.name, measured[:, i]) for i, channel in enumerate(outputs)], axis=1)
@@ -55,31 +47,7 @@ def read_csv(
     return record(u[index], y[index], info, measured[index] & real[..., None])
 
 
-def write_csv(path: str | Path, whole: Record) -> None:
-    """Writes a record of `[seq, time, channel]` so that `read_csv` finds the same numbers.
-
-    Raises `ValueError` for a record with a dataset axis or a file that cannot be written.
-    """
-    if whole.u.ndim != 3:
-        raise ValueError(f"write_csv: record: expected u [sequence, time, channel], found shape {whole.u.shape}")
-    n_seq, time, _ = whole.u.shape
-    names = [channel.name for channel in (*whole.info.inputs, *whole.info.outputs)]
-    with_mask, with_sequence = not np.all(whole.mask), n_seq > 1
-    masks = [f"mask_{channel.name}" for channel in whole.info.outputs] if with_mask else []
-    try:
-        with Path(path).expanduser().open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow([*(["sequence"] if with_sequence else []), "time", *names, *masks])
-            for s, t in np.ndindex(n_seq, time):
-                row: list[Any] = [s + 1] if with_sequence else []
-                row += [repr(t * whole.info.dt), *(repr(float(v)) for v in whole.u[s, t])]
-                row += [repr(float(v)) if m else "" for v, m in zip(whole.y[s, t], whole.mask[s, t], strict=True)]
-                writer.writerow(row + [int(m) for m in whole.mask[s, t]] * with_mask)
-    except OSError as error:
-        raise ValueError(f"{path}: expected a file that can be written, found {error.strerror}") from None
-
-
-def _sequences(table: Table, n_min: int) -> list[Int[np.ndarray, " time"]]:
+def _sequences(table: Table) -> list[Int[np.ndarray, " time"]]:
     """The rows of each sequence, in file order; sequences in the order of their first rows."""
     labels = table.columns.get("sequence", [""] * len(table.lines))
     rows: dict[str, list[int]] = {}
@@ -88,10 +56,9 @@ def _sequences(table: Table, n_min: int) -> list[Int[np.ndarray, " time"]]:
             raise problem(table.file, table.lines[row], "sequence", "a label", quoted_cell(label))
         rows.setdefault(label, []).append(row)
     for label, mine in rows.items():
-        if len(mine) < n_min:
+        if len(mine) < 2:
             name, of = ("sequence", f" of sequence {quoted_cell(label)}") if label else (None, "")
-            expected = f"at least {n_min} samples{of}"
-            raise problem(table.file, table.lines[mine[-1]], name, expected, str(len(mine)))
+            raise problem(table.file, table.lines[mine[-1]], name, f"at least 2 samples{of}", str(len(mine)))
     return [np.array(mine) for mine in rows.values()]
 
 
@@ -114,10 +81,9 @@ def _check_time(table: Table, rows: list[Int[np.ndarray, " time"]], dt: float) -
     for mine in rows:
         steps = np.diff(time[mine])
         wrong = np.flatnonzero(np.abs(steps - dt) > allowed)
-        if not len(wrong):
-            continue
-        line, found = table.lines[mine[wrong[0] + 1]], f"{steps[wrong[0]]:g} s"
-        if np.abs(steps - np.median(steps)).max() <= allowed:
-            raise problem(table.file, line, "time", f"{dt:g} s between samples (the physics' dt)", found)
-        expected = f"evenly spaced samples, {dt:g} s (the physics' dt) after the one before"
-        raise problem(table.file, line, "time", expected, found)
+        if len(wrong):
+            expected = f"evenly spaced samples, {dt:g} s (the physics' dt) after the one before"
+            if np.abs(steps - np.median(steps)).max() <= allowed:
+                expected = f"{dt:g} s between samples (the physics' dt)"
+            line = table.lines[mine[wrong[0] + 1]]
+            raise problem(table.file, line, "time", expected, f"{steps[wrong[0]]:g} s")

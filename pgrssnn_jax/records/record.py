@@ -4,7 +4,7 @@ A `Record` holds the inputs and outputs of one or more sequences of equal length
 `[member, sequence, time, channel]`; the member axis is present where many realisations are stacked.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -108,6 +108,11 @@ def valid_mask(whole: Record) -> Bool[Array, "*members seq time"] | None:
     return jnp.flip(jnp.cumsum(jnp.flip(measured, -1), -1), -1) > 0
 
 
+def map_signals(whole: Record, function: Callable[[Array], Array]) -> Record:
+    """The same function of u, y and mask."""
+    return whole._replace(u=function(whole.u), y=function(whole.y), mask=function(whole.mask))
+
+
 def windows(whole: Record, length: int) -> Record:
     """Cuts every sequence into consecutive windows of `length` samples; the incomplete rest is dropped."""
     time = whole.u.shape[-2]
@@ -119,17 +124,13 @@ def windows(whole: Record, length: int) -> Record:
         *lead, n_seq, _, channels = a.shape
         return a[..., : count * length, :].reshape(*lead, n_seq * count, length, channels)
 
-    return whole._replace(u=cut(whole.u), y=cut(whole.y), mask=cut(whole.mask))
+    return map_signals(whole, cut)
 
 
 def crop(whole: Record, start: int, stop: int) -> Record:
     """The samples `start <= t < stop` of every sequence."""
-    return whole._replace(
-        u=whole.u[..., start:stop, :],
-        y=whole.y[..., start:stop, :],
-        mask=whole.mask[..., start:stop, :],
-        info=replace(whole.info, begins=whole.info.begins + start),
-    )
+    cut = map_signals(whole, lambda signal: signal[..., start:stop, :])
+    return cut._replace(info=replace(whole.info, begins=whole.info.begins + start))
 
 
 def continues(first: Record, second: Record) -> bool:
@@ -146,16 +147,19 @@ def join(first: Record, second: Record) -> Record:
         u, y, mask = (np.concatenate(pair, 1) for pair in zip(first[:3], second[:3], strict=True))
         return Record(u, y, mask, first.info)
     longest = max(first.u.shape[1], second.u.shape[1])
-    u, y, mask = (np.concatenate(pair) for pair in zip(_padded(first, longest), _padded(second, longest), strict=True))
-    padded = first.info.padded or second.info.padded or first.u.shape[1] != second.u.shape[1]
-    return Record(u, y, mask, replace(first.info, padded=padded))
+    u, y, mask = (
+        np.concatenate([padded(one, longest), padded(other, longest)])
+        for one, other in zip(first[:3], second[:3], strict=True)
+    )
+    unequal = first.u.shape[1] != second.u.shape[1]
+    return Record(u, y, mask, replace(first.info, padded=first.info.padded or second.info.padded or unequal))
 
 
-def _padded(whole: Record, time: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Signals with their last samples repeated up to `time`, and not measured there."""
-    rest = [(0, 0), (0, time - whole.u.shape[1]), (0, 0)]
-    mask = np.pad(np.asarray(whole.mask), rest, constant_values=False)
-    return np.pad(np.asarray(whole.u), rest, mode="edge"), np.pad(np.asarray(whole.y), rest, mode="edge"), mask
+def padded(signal: Array, time: int) -> np.ndarray:
+    """A signal `[..., time, channel]` up to `time` samples: its last one repeated, or, in a mask, not measured."""
+    signal = np.asarray(signal)
+    rest = [*[(0, 0)] * (signal.ndim - 2), (0, time - signal.shape[-2]), (0, 0)]
+    return np.pad(signal, rest) if signal.dtype == bool else np.pad(signal, rest, mode="edge")
 
 
 def stack(records: Sequence[Record]) -> Record:
@@ -163,17 +167,13 @@ def stack(records: Sequence[Record]) -> Record:
     shapes = {r.u.shape + r.y.shape for r in records}
     if len(shapes) != 1:
         raise ValueError(f"stack: records: expected equal shapes, found {sorted(shapes)}")
-    return Record(
-        np.stack([r.u for r in records]),
-        np.stack([r.y for r in records]),
-        np.stack([r.mask for r in records]),
-        records[0].info,
-    )
+    u, y, mask = (np.stack(signals) for signals in zip(*(r[:3] for r in records), strict=True))
+    return Record(u, y, mask, records[0].info)
 
 
 def take(stacked: Record, index: int | np.ndarray) -> Record:
     """One record of a stack, or, with an array of indices, the stack of those records."""
-    return stacked._replace(u=stacked.u[index], y=stacked.y[index], mask=stacked.mask[index])
+    return map_signals(stacked, lambda signal: signal[index])
 
 
 def cast(whole: Record, dtype: DTypeLike) -> Record:

@@ -50,18 +50,15 @@ def usable_affine(offset: Any, scale: Any) -> Affine:
     return Affine(np.where(np.isfinite(offset), offset, 0.0), np.where(usable, scale, 1.0))
 
 
-def identity(channels: int) -> Affine:
-    return Affine(np.zeros(channels), np.ones(channels))
+def identity(*shape: int) -> Affine:
+    return Affine(np.zeros(shape), np.ones(shape))
 
 
 def signal_scaling(train: Record) -> tuple[Affine, Affine]:
     """Scalings of u and y from one training record `[seq, time, channel]`; masked samples do not count."""
     u = np.asarray(train.u, np.float64)[real_samples(train)]
     y = np.ma.array(np.asarray(train.y, np.float64), mask=~np.asarray(train.mask)).reshape(-1, train.y.shape[-1])
-    return (
-        usable_affine(u.mean(0), u.std(0)),
-        usable_affine(y.mean(0), y.std(0)),
-    )
+    return usable_affine(u.mean(0), u.std(0)), usable_affine(y.mean(0), y.std(0))
 
 
 def real_samples(train: Record) -> np.ndarray:
@@ -80,12 +77,7 @@ class Units(NamedTuple):
 
 def measured_units(train: Record) -> Units:
     """The identity for every dataset of a record `[dataset, seq, time, channel]`."""
-
-    def unit(signal: Array) -> Affine:
-        shape = (len(signal), signal.shape[-1])
-        return Affine(np.zeros(shape), np.ones(shape))
-
-    return Units(unit(train.u), unit(train.y))
+    return Units(*(identity(len(signal), signal.shape[-1]) for signal in (train.u, train.y)))
 
 
 def standard_units(train: Record) -> Units:

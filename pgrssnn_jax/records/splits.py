@@ -8,36 +8,28 @@ Source: Krogh and Vedelsby, Neural network ensembles, cross validation, and acti
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pgrssnn_jax.records.arguments import check_count
-from pgrssnn_jax.records.record import Record, continues, crop, join, stack, take, windows
+from pgrssnn_jax.records.record import Record, continues, crop, join, map_signals, stack, take, windows
 
 _TAIL = 4  # one part in so many of a record validates where nothing else is said
 
 
-@dataclass(frozen=True)
-class KFold:
-    """folds: how many members share a record between them, 0: none, the split stands; block: samples that are set
-    aside together."""
-
-    folds: int = 0
-    block: int = 32
-
-    def __post_init__(self) -> None:
-        if self.folds < 0 or self.folds == 1:
-            raise ValueError(f"data.folds: expected 0 (the split of the data) or at least 2, found {self.folds}")
-        check_count("data.block", self.block, 1, 10**9, "samples")
-
-
-def kfold_masks(train: Record, validation: Record, seeds: Sequence[int], folds: KFold) -> tuple[Record, Record]:
+def kfold_masks(
+    train: Record, validation: Record, seeds: Sequence[int], folds: int, block: int = 32
+) -> tuple[Record, Record]:
     """The records of members `[member, seq, time, channel]` with masks by their seeds.
 
-    Raises `ValueError` where the two records are not one run, or too short for every fold to have a block, or have no
-    measured sample in a fold.
+    folds: how many members share a record between them; block: samples that are set aside together. Raises `ValueError`
+    where the two records are not one run, or too short for every fold to have a block, or have no measured sample in a
+    fold.
     """
+    if folds < 2:
+        raise ValueError(f"data.folds: expected 0 (the split of the data) or at least 2, found {folds}")
+    check_count("data.block", block, 1, 10**9, "samples")
     runs = []
     for member in range(len(train.u)):
         first, second = take(train, member), take(validation, member)
@@ -46,12 +38,12 @@ def kfold_masks(train: Record, validation: Record, seeds: Sequence[int], folds: 
         runs.append(join(first, second))
     whole = stack(runs)
     time = whole.u.shape[2]
-    if time < folds.folds * folds.block:
+    if time < folds * block:
         raise ValueError(
-            f"data.folds: expected at least folds x block = {folds.folds * folds.block} samples to share, found {time}"
+            f"data.folds: expected at least folds x block = {folds * block} samples to share, found {time}"
         )
-    fold = np.arange(time) // folds.block % folds.folds
-    aside = fold == np.asarray(seeds)[:, None] % folds.folds
+    fold = np.arange(time) // block % folds
+    aside = fold == np.asarray(seeds)[:, None] % folds
     aside = aside[:, None, :, None]
     seen, kept_back = (np.asarray(whole.mask) & which for which in (~aside, aside))
     for name, mask in (("train", seen), ("validate", kept_back)):
@@ -101,8 +93,8 @@ def cut_windows(train: Record, length: int) -> Record:
     if not train.info.padded:
         return cut
     used = np.any(cut.mask, axis=(0, 2, 3))
-    return cut._replace(u=cut.u[:, used], y=cut.y[:, used], mask=cut.mask[:, used])
+    return map_signals(cut, lambda signal: signal[:, used])
 
 
 def _sequences(whole: Record, which: slice) -> Record:
-    return whole._replace(u=whole.u[..., which, :, :], y=whole.y[..., which, :, :], mask=whole.mask[..., which, :, :])
+    return map_signals(whole, lambda signal: signal[..., which, :, :])

@@ -45,30 +45,42 @@ def read_table(path: str | Path) -> Table:
     (such as the one after a trailing comma) are no part of the data.
     """
     content = _read_bytes(path)
-    rows, lines = _read_rows(path, _decode(path, content))
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise problem(path, line, None, "text in UTF-8", f"the byte 0x{content[error.start]:02x}") from None
+    rows, lines = _read_rows(path, text)
     if not rows:
         raise problem(path, 1, None, "a header with column names", "an empty file")
-    header = rows[0]
+    header = rows.pop(0)
     for name, times in Counter(name for name in header if name).items():
         if times > 1:
             raise problem(path, lines[0], name, "every column name once", f"it {times} times")
-    for row, line in zip(rows[1:], lines[1:], strict=True):
-        _check_length(path, header, row, line)
-    named = [(i, name) for i, name in enumerate(header) if name]
+    named = [i for i, name in enumerate(header) if name]
     # A column that only its trailing comma announces may be left out of a row: it has no name, nothing reads it.
-    columns = {name: [row[i] for row in rows[1:]] for i, name in named}
-    return Table(str(path), columns, lines[1:], fingerprint(content))
+    needed = named[-1] + 1 if named else 0
+    for row, line in zip(rows, lines[1:], strict=True):
+        if len(row) < needed:
+            raise problem(path, line, header[len(row)] or None, f"{needed} cells", str(len(row)))
+        if any(row[len(header) :]):
+            raise problem(path, line, header[needed - 1], f"{len(header)} cells", str(len(row)))
+    return Table(str(path), {header[i]: [row[i] for row in rows] for i in named}, lines[1:], fingerprint(content))
 
 
 def numbers(table: Table, name: str, needed: Bool[np.ndarray, " rows"] | None = None) -> Float[np.ndarray, " rows"]:
     """The column as finite float64 numbers; where `needed` is False an empty or infinite cell is allowed, and is 0."""
     values = np.zeros(len(table.lines))
     for row, cell in enumerate(column(table, name)):
-        value = _number(cell)
-        is_needed = needed is None or needed[row]
-        if value is None or (is_needed and not math.isfinite(value)):
+        value, allowed = math.nan, needed is not None and not needed[row]
+        try:
+            value = float(cell.replace("_", "text") or "nan")  # Python's own `1_000` is written by no other program
+        except ValueError:
+            allowed = False
+        if math.isfinite(value):
+            values[row] = value
+        elif not allowed:
             raise problem(table.file, table.lines[row], name, "a finite number", quoted_cell(cell))
-        values[row] = value if math.isfinite(value) else 0.0
     return values
 
 
@@ -80,44 +92,22 @@ def column(table: Table, name: str) -> list[str]:
     return table.columns[name]
 
 
-def _number(cell: str) -> float | None:
-    """None for text; NaN for an empty cell. Python's own `1_000` is text here: no other program writes it."""
-    if not cell:
-        return math.nan
-    try:
-        return None if "_" in cell else float(cell)
-    except ValueError:
-        return None
-
-
 def _read_bytes(path: str | Path) -> bytes:
     file = Path(path).expanduser()
     try:
         return file.read_bytes()
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError):  # ValueError: a null character in the name
         found = "no such file"
     except OSError as error:
         found = "a folder" if file.is_dir() else (error.strerror or type(error).__name__).lower()
-    except ValueError:  # a null character in the name
-        found = "no such file"
     raise ValueError(f"{path}: expected a readable CSV file, found {found}")
-
-
-def _decode(path: str | Path, content: bytes) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content[: error.start].count(b"\n") + 1
-        raise problem(path, line, None, "text in UTF-8", f"the byte 0x{content[error.start]:02x}") from None
 
 
 def _read_rows(path: str | Path, text: str) -> tuple[list[list[str]], list[int]]:
     """Stripped rows and the line on which each starts, without the empty rows at the end."""
     # newline="" leaves line ends to the csv module, as it asks for.
     reader = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
-    rows: list[list[str]] = []
-    lines: list[int] = []
-    start = 1
+    rows, lines, start = list[list[str]](), list[int](), 1
     try:
         for row in reader:
             rows.append([cell.strip() for cell in row])
@@ -129,16 +119,6 @@ def _read_rows(path: str | Path, text: str) -> tuple[list[list[str]], list[int]]
         rows.pop()
         lines.pop()
     return rows, lines
-
-
-def _check_length(path: str | Path, header: list[str], row: list[str], line: int) -> None:
-    named = len(header)
-    while named and not header[named - 1]:
-        named -= 1
-    if len(row) < named:
-        raise problem(path, line, header[len(row)] or None, f"{named} cells", str(len(row)))
-    if any(row[len(header) :]):
-        raise problem(path, line, header[named - 1], f"{len(header)} cells", str(len(row)))
 
 
 def fingerprint(content: bytes) -> str:

@@ -58,9 +58,7 @@ def _parsed(unit: str) -> tuple[float, dict[str, Fraction]] | None:
 
 
 def _symbol(text: str) -> tuple[float, dict[str, int]] | None:
-    if text in _WHOLE:
-        return _WHOLE[text]
-    if text in _SYMBOLS:
-        return _SYMBOLS[text]
+    if known := _WHOLE.get(text) or _SYMBOLS.get(text):
+        return known
     prefix, rest = _PREFIXES.get(text[:1]), _SYMBOLS.get(text[1:])
     return None if prefix is None or rest is None else (prefix * rest[0], rest[1])

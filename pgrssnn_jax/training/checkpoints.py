@@ -51,17 +51,21 @@ class CheckpointFolder:
         if epoch is None:
             raise ValueError(f"checkpoint: expected one in {str(self._manager.directory)!r}, found none")
         found, expected = _today(self._manager.restore(epoch, args=ocp.args.StandardRestore())), _named(like)
-        trees: list[Any] = []
+        trees: dict[str, Any] = {}
         for name in ("state", "scaling", "units"):
-            here, there = (_shapes(named.get(name, {}), any_shape) for named in (found, expected))
+            arrays = found.get(name, {})
+            here, there = (
+                {key: () if any_shape else np.shape(leaf) for key, leaf in named.items()}
+                for named in (arrays, expected[name])
+            )
             if here != there:
                 raise ValueError(
                     f"checkpoint: {name}: expected the arrays of this model and its members, found those of another one"
                 )
-            leaves = [found[name][key] for key in sorted(found.get(name, {}))]
-            trees.append(jax.tree.unflatten(jax.tree.structure(getattr(like, name)), leaves))
-        losses = Losses(**found["losses"]) if epoch else no_losses(len(trees[0].epoch))
-        return Checkpoint(trees[0], trees[1], trees[2], losses)
+            leaves = [arrays[key] for key in sorted(arrays)]
+            trees[name] = jax.tree.unflatten(jax.tree.structure(getattr(like, name)), leaves)
+        losses = Losses(**found["losses"]) if epoch else no_losses(len(trees["state"].epoch))
+        return Checkpoint(**trees, losses=losses)
 
     def clear(self) -> None:
         """Forgets the checkpoints of an earlier run in the same folder."""
@@ -89,7 +93,3 @@ def _today(found: Mapping[str, Any]) -> dict[str, Any]:
     """A checkpoint of an earlier version under the names of this one."""
     state = {name.replace(".retreats", ".rollbacks"): leaf for name, leaf in found.get("state", {}).items()}
     return {**found, "state": state}
-
-
-def _shapes(named: dict[str, Any], any_shape: bool) -> dict[str, tuple[int, ...]]:
-    return {name: () if any_shape else tuple(np.shape(leaf)) for name, leaf in named.items()}

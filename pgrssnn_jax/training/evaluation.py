@@ -10,13 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.models.rollout import rollout
-from pgrssnn_jax.records.record import Array, Record, valid_mask
+from pgrssnn_jax.records.record import Array, Record, take, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
 from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.metrics import all_metrics, rmse
 from pgrssnn_jax.training.objective import MemberData, Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
 from pgrssnn_jax.training.plan import MemberTests, Plan
+
+_FIGURES = ("rmse", "nrmse", "fit_percent", "cc")
 
 
 class Trained(NamedTuple):
@@ -128,18 +130,17 @@ def member_rows(
             "validation": None,
         }
         if not status.failed:
-            on_test = {
-                n: all_metrics(measured=test.y[i], predicted=predictions.y[i], mask=test.mask[i], n_init=n)
-                for n in n_inits
-            }
+            on_test = {n: _figures(take(test, i), predictions.y[i], n) for n in n_inits}
             row["test"] = on_test[n_inits[0]]
             if validation is not None and validated is not None:
-                row["validation"] = all_metrics(
-                    measured=validation.y[i], predicted=validated[i], mask=validation.mask[i], n_init=0
-                )
+                row["validation"] = _figures(take(validation, i), validated[i], 0)
             row["by_n_init"] = {str(n): figures for n, figures in on_test.items()}
         rows.append(row)
     return rows
+
+
+def _figures(record: Record, predicted: np.ndarray, n_init: int) -> dict[str, list[float]]:
+    return all_metrics(measured=record.y, predicted=predicted, mask=record.mask, n_init=n_init)
 
 
 def ensemble(rows: Sequence[dict[str, Any]], test: Record, predictions: Predictions) -> tuple[np.ndarray, np.ndarray]:
@@ -169,16 +170,16 @@ def summary(
 def _over_members(
     finished: Sequence[dict[str, Any]], test: Record, ensemble_mean: np.ndarray, n_init: int
 ) -> dict[str, float]:
-    figures = {f"{name}_mean": float("nan") for name in ("rmse", "nrmse", "fit_percent", "cc")}
-    figures |= {f"rmse_{what}": float("nan") for what in ("std", "median", "best", "ensemble")}
+    names = [f"{name}_mean" for name in _FIGURES] + [f"rmse_{what}" for what in ("std", "median", "best", "ensemble")]
+    figures = dict.fromkeys(names, float("nan"))
     if not finished:
         return figures
-    for name in ("rmse", "nrmse", "fit_percent", "cc"):
-        values = np.array([np.mean(row["by_n_init"][str(n_init)][name]) for row in finished])
-        figures[f"{name}_mean"] = float(np.mean(values))
-        if name == "rmse":
-            spread = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-            figures |= {"rmse_std": spread, "rmse_median": float(np.median(values)), "rmse_best": float(values.min())}
+    of_members = [row["by_n_init"][str(n_init)] for row in finished]
+    values = {name: np.array([np.mean(row[name]) for row in of_members]) for name in _FIGURES}
+    figures |= {f"{name}_mean": float(np.mean(each)) for name, each in values.items()}
+    rmses = values["rmse"]
+    spread = float(np.std(rmses, ddof=1)) if len(rmses) > 1 else 0.0
+    figures |= {"rmse_std": spread, "rmse_median": float(np.median(rmses)), "rmse_best": float(rmses.min())}
     if np.isfinite(ensemble_mean).all():
         together = rmse(measured=test.y[0], predicted=ensemble_mean, mask=test.mask[0], n_init=n_init)
         figures["rmse_ensemble"] = float(np.mean(together))

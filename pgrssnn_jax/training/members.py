@@ -7,7 +7,6 @@ says it once, in `conf/members/`.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -46,13 +45,10 @@ def jit_members(one: Callable[..., Any], mapping: MemberMapping, *, donated: int
 def map_members(one: Callable[..., Any], mapping: MemberMapping) -> Callable[..., Any]:
     """`one(*trees) -> tree` for one member becomes a function of trees with a leading member axis.
 
-    Members are padded to a multiple of the devices with copies of the last one, which are dropped again. Raises
-    `ValueError` when more devices are asked for than there are.
+    Raises `ValueError` for a mapping that cannot be, and when more devices are asked for than there are.
     """
     if not 1 <= mapping.devices <= jax.device_count():
         raise ValueError(f"members: devices: expected 1 to {jax.device_count()}, found {mapping.devices}")
-    if mapping.how not in ("vmap", "loop"):
-        raise ValueError(f"members: how: expected vmap or loop, found {mapping.how!r}")
     if mapping.sub_batch is not None and mapping.sub_batch < 1:
         raise ValueError(f"members: sub_batch: expected at least 1, found {mapping.sub_batch}")
     if mapping.optimisation not in (None, 0, 1, 2, 3):
@@ -82,8 +78,9 @@ def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., An
     def on_devices(*trees: Any) -> Any:
         count = len(jax.tree.leaves(trees)[0])
         missing = -count % devices
-        padded = jax.tree.map(partial(_pad, missing=missing), trees)
-        return jax.tree.map(lambda a: a[:count], sharded(*padded))
+        if missing:
+            trees = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)]), trees)
+        return jax.tree.map(lambda a: a[:count], sharded(*trees))
 
     return on_devices
 
@@ -91,10 +88,6 @@ def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., An
 def keys_of(chosen: Sequence[Member]) -> jax.Array:
     """One key per member, split by name: its seed, then its dataset."""
     return jnp.stack([jax.random.fold_in(jax.random.key(m.seed), m.dataset) for m in chosen])
-
-
-def _pad(a: jax.Array, missing: int) -> jax.Array:
-    return a if missing == 0 else jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)])
 
 
 def repeat(tree: Any, count: int) -> Any:

@@ -12,7 +12,6 @@ With `ModelSpec.regularisation` λ, training alone adds for its time of T sample
 at surrogate points z_j over the range of the scaled signals: where the data says little, the physics stands.
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -23,7 +22,7 @@ from pgrssnn_jax.models.initial_state import InitialState, first_output_states, 
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.models.radial import scarcity, surrogate_points
 from pgrssnn_jax.models.rollout import Route, Trajectory, rollout
-from pgrssnn_jax.physics.base import Parameter, is_parameter
+from pgrssnn_jax.physics.base import is_parameter
 from pgrssnn_jax.records.record import Array, Record, continues, valid_mask
 from pgrssnn_jax.records.scaling import Scaling
 
@@ -84,12 +83,10 @@ class Objective(NamedTuple):
 
     def assemble(self, theta: Trainable, scaling: Scaling) -> ModelParams:
         """The numbers of a rollout."""
-        nominal, size = self.physics.nominal, self.physics.size
-        if theta.physics is None:
-            return ModelParams(theta.network, nominal, scaling)
-        return ModelParams(
-            theta.network, jax.tree.map(lambda p, s, z: p + s * z, nominal, size, theta.physics), scaling
-        )
+        physics = self.physics.nominal
+        if theta.physics is not None:
+            physics = jax.tree.map(lambda p, s, z: p + s * z, physics, self.physics.size, theta.physics)
+        return ModelParams(theta.network, physics, scaling)
 
     def within_bounds(self, theta: Trainable) -> Trainable:
         """θ with every physics parameter inside its bounds, and at its nominal value if it may not move."""
@@ -179,15 +176,9 @@ def build_objective(
 ) -> Objective:
     """train_physics: are the physics parameters part of θ?"""
     nominal = jax.tree.map(jnp.asarray, model.physics.params)
-
-    def meaning(of: Callable[[Parameter], Any]) -> Any:
-        return jax.tree.map(of, model.physics.parameters, is_leaf=is_parameter)
-
-    units = PhysicsUnits(
-        nominal,
-        size=jax.tree.map(lambda p: jnp.where((p == 0) | jnp.isinf(p), 1.0, jnp.abs(p)), nominal),
-        low=meaning(lambda p: p.bounds[0]),
-        high=meaning(lambda p: p.bounds[1]),
-        free=meaning(lambda p: p.trainable),
+    size = jax.tree.map(lambda p: jnp.where((p == 0) | jnp.isinf(p), 1.0, jnp.abs(p)), nominal)
+    low, high, free = (
+        jax.tree.map(of, model.physics.parameters, is_leaf=is_parameter)
+        for of in (lambda p: p.bounds[0], lambda p: p.bounds[1], lambda p: p.trainable)
     )
-    return Objective(model, initial, units, train_physics, route)
+    return Objective(model, initial, PhysicsUnits(nominal, size, low, high, free), train_physics, route)

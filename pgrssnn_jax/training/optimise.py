@@ -41,13 +41,13 @@ class MemberStatus(IntEnum):
         return _SENTENCES[self]
 
 
-_SENTENCES = {
-    MemberStatus.TRAINING: "trained to the last epoch",
-    MemberStatus.STOPPED_EARLY: "stopped early: validation no longer improved",
-    MemberStatus.STATE_NOT_FINITE: "failed: a predicted state left the floating-point range",
-    MemberStatus.LOSS_NOT_FINITE: "failed: the loss left the floating-point range",
-    MemberStatus.GRADIENT_NOT_FINITE: "failed: the gradient left the floating-point range",
-}
+_SENTENCES = (  # in the order of `MemberStatus`
+    "trained to the last epoch",
+    "stopped early: validation no longer improved",
+    "failed: a predicted state left the floating-point range",
+    "failed: the loss left the floating-point range",
+    "failed: the gradient left the floating-point range",
+)
 
 
 class MemberState(NamedTuple):

@@ -13,8 +13,8 @@ from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.physics.base import Physics, Signal, measured_rate
 from pgrssnn_jax.records.matching import matched
 from pgrssnn_jax.records.record import Record, cast, take
-from pgrssnn_jax.records.scaling import Scaling, Units, in_units, measured_units, standard_units
-from pgrssnn_jax.records.splits import KFold, by_dataset, cut_windows, estimation_parts, kfold_masks
+from pgrssnn_jax.records.scaling import Units, in_units, measured_units, standard_units
+from pgrssnn_jax.records.splits import by_dataset, cut_windows, estimation_parts, kfold_masks
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, map_members
 from pgrssnn_jax.training.objective import MemberData, Objective, build_objective
 from pgrssnn_jax.training.optimise import Fit
@@ -68,25 +68,23 @@ def plan_training(
     model, initial = fit.objective.model, fit.objective.initial
     for name, record in (("train", fitted), ("validation", aside)):
         check_record(name, record, initial, physics)
-    rates_like_outputs = settings.data.published_scaling and _has_rates(physics)
-    standardised = settings.data.published_scaling and not rates_like_outputs
+    # Published scaling concerns the networks alone where some state is the rate of an output, and puts rates into the
+    # units of their outputs (the arm); elsewhere the physics itself acts on standardised signals (LGSSM).
+    has_rates = any(measured_rate(physics, state) for state in physics.states)
+    rates_like_outputs = settings.data.published_scaling and has_rates
+    standardised = settings.data.published_scaling and not has_rates
     units = (standard_units if standardised else measured_units)(fitted)
     own, other = ((in_units(r, units) if standardised else r) for r in (fitted, aside))
     members = _members(settings, len(fitted.u), seeds_differ=model.graph is not None)
     datasets = np.array([member.dataset for member in members])
     scalings = [model_scaling(model, take(own, i), rates_like_outputs=rates_like_outputs) for i in range(len(fitted.u))]
+    scaling = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
+    own, other = (cast(record, np.float32) for record in _per_member(own, other, members, settings))
+    data = MemberData(own, other, scaling, np.full(len(members), settings.fit.epochs, np.int32))
+    mapping = member_mapping(settings.members, len(members), data.train.u.shape[1], accelerate=settings.run.accelerate)
     _, measured = _per_member(fitted, aside, members, settings)
-    data = _member_data(scalings, *_per_member(own, other, members, settings), datasets, settings.fit.epochs)
-    return Plan(
-        settings,
-        fit,
-        member_mapping(settings.members, len(members), data.train.u.shape[1], accelerate=settings.run.accelerate),
-        members,
-        fitted,
-        measured,
-        data,
-        jax.tree.map(lambda a: a[datasets], units),
-    )
+    own_units = jax.tree.map(lambda a: a[datasets], units)
+    return Plan(settings, fit, mapping, members, fitted, measured, data, own_units)
 
 
 def plan_fit(physics: Physics, settings: TrainingSettings, *, shared: bool) -> Fit:
@@ -125,14 +123,11 @@ def member_mapping(chosen: MemberSettings, n_members: int, n_sequences: int, *, 
     """`auto` is resolved by what the benchmark found: see `members.choose_mapping`; accelerate: False for one device
     and no options of the compiler."""
     best = choose_mapping(n_members, n_sequences, jax.device_count())
+    how = best.how if chosen.how == "auto" else chosen.how
     if not accelerate:
-        return MemberMapping(best.how if chosen.how == "auto" else chosen.how, chosen.sub_batch)
-    mapping = MemberMapping(
-        best.how if chosen.how == "auto" else chosen.how,
-        chosen.sub_batch,
-        best.devices if chosen.devices == "auto" else chosen.devices,
-        chosen.optimisation,
-    )
+        return MemberMapping(how, chosen.sub_batch)
+    devices = best.devices if chosen.devices == "auto" else chosen.devices
+    mapping = MemberMapping(how, chosen.sub_batch, devices, chosen.optimisation)
     map_members(lambda: None, mapping)  # raises for what this machine does not have
     return mapping
 
@@ -162,12 +157,6 @@ def check_range(where: str, signal: Signal, values: np.ndarray) -> None:
         )
 
 
-def _has_rates(physics: Physics) -> bool:
-    """Is some state the rate of an output? Published scaling then concerns the networks alone and puts rates into the
-    units of their outputs (the arm); elsewhere the physics itself acts on standardised signals (LGSSM)."""
-    return any(measured_rate(physics, state) for state in physics.states)
-
-
 def _members(settings: TrainingSettings, n_datasets: int, *, seeds_differ: bool) -> list[Member]:
     """Every dataset with every seed; one seed without networks, because nothing else is drawn."""
     count = settings.run.n_seeds if seeds_differ else 1
@@ -179,19 +168,10 @@ def _per_member(
 ) -> tuple[Record, Record]:
     datasets = np.array([member.dataset for member in members])
     train, validation = take(train, datasets), take(validation, datasets)
-    folds = KFold(settings.data.folds, settings.data.block)
-    if not folds.folds:
+    if not settings.data.folds:
         return train, validation
-    return kfold_masks(train, validation, [member.seed for member in members], folds)
-
-
-def _member_data(
-    scalings: list[Scaling], train: Record, validation: Record, datasets: np.ndarray, epochs: int
-) -> MemberData:
-    """Records and scaling of every member, in float32: the precision of the networks."""
-    stacked = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
-    last_epoch = np.full(len(datasets), epochs, np.int32)
-    return MemberData(cast(train, np.float32), cast(validation, np.float32), stacked, last_epoch)
+    seeds = [member.seed for member in members]
+    return kfold_masks(train, validation, seeds, settings.data.folds, settings.data.block)
 
 
 def _windows_to_report(initial: InitialState, wanted: Sequence[int], test: Record) -> list[int]:

@@ -27,6 +27,10 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 _GROUPS = ("physics", "data", "model", "fit", "members")  # of every configuration of training
+_RESULTS = (
+    "DONE", "FAILED", "traceback.txt", "metrics.json", "predictions.npz", "history.csv", "report.html",
+    "discovery.json", "discovery.npz",
+)  # fmt: skip
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
 
 
@@ -34,15 +38,7 @@ class RunFolder:
     """Paths and atomic writers of one run; nothing is created before the first write."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-
-    @property
-    def checkpoint(self) -> Path:
-        return self.path / "checkpoint"
-
-    @property
-    def figures(self) -> Path:
-        return self.path / "figures"
+        self.path, self.checkpoint, self.figures = path, path / "checkpoint", path / "figures"
 
     @property
     def finished(self) -> bool:
@@ -67,24 +63,12 @@ class RunFolder:
         resumed run, whose environment, command and physics stay on record. choices: names of the configuration's
         files, where there were any; physics: what `effects/stored.py` needs to build it again.
         """
-        for name in (
-            "DONE",
-            "FAILED",
-            "traceback.txt",
-            "metrics.json",
-            "predictions.npz",
-            "history.csv",
-            "report.html",
-            "discovery.json",
-            "discovery.npz",
-            *(("physics.json",) if physics is not None else ()),
-        ):
-            (self.path / name).unlink(missing_ok=True)
+        self._remove(*_RESULTS, *(("physics.json",) if physics is not None else ()))
         shutil.rmtree(self.figures, ignore_errors=True)
         self.write_text("config.yaml", config_text)
         if command is not None:
-            found = {**environment(), "command": command, "data": data, "choices": choices or {}}
-            self.write_json("environment.json", found)
+            more = {"command": command, "data": data, "choices": choices or {}}
+            self.write_json("environment.json", {**environment(), **more})
         if physics is not None:
             self.write_json("physics.json", physics)
 
@@ -151,7 +135,10 @@ class RunFolder:
         return path.read_text(encoding="utf-8").strip() if path.exists() else None
 
     def forget_failure(self) -> None:
-        for name in ("FAILED", "traceback.txt"):
+        self._remove("FAILED", "traceback.txt")
+
+    def _remove(self, *names: str) -> None:
+        for name in names:
             (self.path / name).unlink(missing_ok=True)
 
     def _replace(self, name: str, write: Callable[[Path], object]) -> None:

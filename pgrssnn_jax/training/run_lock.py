@@ -16,49 +16,35 @@ _LOOK_AGAIN = 0.2  # s
 
 
 @contextmanager
-def held(folder: Path, stop: threading.Event, notify: Callable[[str], None]) -> Iterator[None]:
-    """Waits until no other process holds `folder`, or until `stop` is set.
+def locked(
+    folder: Path, stop: threading.Event | None = None, notify: Callable[[str], object] = print
+) -> Iterator[None]:
+    """Holds `folder` for this process.
 
-    A killed sweep may leave workers behind that still train: whoever comes next waits for them. The lock is a file
-    beside the folder, gone when nobody holds it. File systems that know no locks have none.
+    Where another process has it: raises `ValueError` that names the holder, or, with `stop`, waits until it is free or
+    `stop` is set, because a killed sweep may leave workers behind that still train. The lock is a file beside the
+    folder, gone when nobody holds it. File systems that know no locks have none.
     """
-    path, file, said = _lock_of(folder), -1, False
-    while fcntl is not None and (file := _taken(path)) < 0 and not stop.is_set():
-        if not said:
+    lock = folder.absolute().parent / f".{folder.absolute().name}.lock"
+    file, told = -1, False
+    while fcntl is not None and (file := _taken(lock)) < 0:
+        if stop is None:
+            holder = "another process"
+            with suppress(OSError):  # it may have ended in the meantime
+                holder = lock.read_text(encoding="utf-8").strip() or holder
+            raise ValueError(f"{folder}: expected a run folder in which nobody writes, found {holder} at work there")
+        if stop.is_set():
+            break
+        if not told:
             notify(f"waiting for another process that works in {folder.name}")
-            said = True
+        told = True
         stop.wait(_LOOK_AGAIN)
     try:
         yield
     finally:
-        _release(path, file)
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Holds `folder` for this process. Raises `ValueError` that names the holder when another process has it."""
-    path = _lock_of(folder)
-    file = -1 if fcntl is None else _taken(path)
-    if fcntl is not None and file < 0:
-        holder = "another process"
-        with suppress(OSError):  # it may have ended in the meantime
-            holder = path.read_text(encoding="utf-8").strip() or holder
-        raise ValueError(f"{folder}: expected a run folder in which nobody writes, found {holder} at work there")
-    try:
-        yield
-    finally:
-        _release(path, file)
-
-
-def _lock_of(folder: Path) -> Path:
-    folder = folder.absolute()
-    return folder.parent / f".{folder.name}.lock"
-
-
-def _release(path: Path, file: int) -> None:
-    if file >= 0:
-        path.unlink(missing_ok=True)
-        os.close(file)
+        if file >= 0:
+            lock.unlink(missing_ok=True)
+            os.close(file)
 
 
 def _taken(path: Path) -> int:

@@ -34,18 +34,14 @@ class FitSettings:
     checkpoint_seconds: float = 30.0  # s between checkpoints; one is always written at the end and on Ctrl-C
 
     def __post_init__(self) -> None:
-        for name in ("validate_every", "patience", "chunk_epochs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"fit: {name}: expected at least 1, found {getattr(self, name)}")
-        if self.epochs < 0:
-            raise ValueError(f"fit: epochs: expected 0 or more, found {self.epochs}")
-        for name in ("learning_rate", "clip_norm"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ValueError(f"fit: {name}: expected a positive number, found {value}")
-        for name in ("weight_decay", "checkpoint_seconds"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"fit: {name}: expected 0 or more, found {getattr(self, name)}")
+        for names, expected, holds in (
+            (("validate_every", "patience", "chunk_epochs"), "at least 1", lambda value: value >= 1),
+            (("epochs", "weight_decay", "checkpoint_seconds"), "0 or more", lambda value: value >= 0),
+            (("learning_rate", "clip_norm"), "a positive number", lambda value: value is None or value > 0),
+        ):
+            for name in names:
+                if not holds(value := getattr(self, name)):
+                    raise ValueError(f"fit: {name}: expected {expected}, found {value}")
 
     @property
     def blocks(self) -> int:
@@ -110,13 +106,7 @@ class TrainingSettings(NamedTuple):
     members: MemberSettings
 
 
-GROUPS: Mapping[str, type] = {
-    "model": ModelSpec,
-    "fit": FitSettings,
-    "run": RunSettings,
-    "data": DataSettings,
-    "members": MemberSettings,
-}
+GROUPS: Mapping[str, type] = {name: kind for name, kind in TrainingSettings.__annotations__.items() if name != "name"}
 GROUP_OF = {field.name: group for group, kind in GROUPS.items() for field in fields(kind)}
 
 
@@ -145,16 +135,18 @@ def settings_from_config(config: Mapping[str, Any], where: str = "configuration"
     given = {
         "model": {key: value for key, value in config["model"].items() if key != "name"},
         "fit": dict(config["fit"]),
-        "run": {field.name: config[field.name] for field in fields(RunSettings) if field.name in config},
-        "data": {
-            field.name: config["data"][field.name] for field in fields(DataSettings) if field.name in config["data"]
-        },
+        "run": _those_of(RunSettings, config),
+        "data": _those_of(DataSettings, config["data"]),
         "members": dict(config["members"]),
     }
     if given["fit"].get("guard") == "retreat":
         warnings.warn("fit.guard: 'retreat' is now called 'rollback'", FutureWarning, stacklevel=2)
         given["fit"]["guard"] = "rollback"
     return _checked(str(config["model"].get("name", "custom")), given)
+
+
+def _those_of(kind: type, group: Mapping[str, Any]) -> dict[str, Any]:
+    return {field.name: group[field.name] for field in fields(kind) if field.name in group}
 
 
 def settings_to_config(settings: TrainingSettings) -> dict[str, Any]:
@@ -165,7 +157,5 @@ def settings_to_config(settings: TrainingSettings) -> dict[str, Any]:
 
 
 def _checked(name: str, given: Mapping[str, Mapping[str, Any]]) -> TrainingSettings:
-    where = {group: "" if group == "run" else group for group in GROUPS}
-    return TrainingSettings(
-        name, **{group: call_with(kind, given[group], where[group]) for group, kind in GROUPS.items()}
-    )
+    groups = {group: call_with(kind, given[group], "" if group == "run" else group) for group, kind in GROUPS.items()}
+    return TrainingSettings(name, **groups)

@@ -5,7 +5,7 @@ from commands import composed
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pgrssnn_jax.cli.budget import capped
+from pgrssnn_jax.cli.plan import capped
 
 BASES = ["cascaded_tank", "lgssm", "robot_simulated", "robot_real"]
 NAMES = st.sampled_from("abcde")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from commands import QUICK, ROOT, command, start, write_benchmark
+from commands import QUICK, ROOT, command, start
 
 from pgrssnn_jax.acceleration.devices import usable_cores
 from pgrssnn_jax.training.run_folder import RunFolder, read_config
@@ -56,11 +56,6 @@ def stub(tmp_path) -> str:
     path = tmp_path / "stub.py"
     path.write_text(STUB)
     return str(path)
-
-
-@pytest.fixture
-def benchmark(tmp_path) -> Path:
-    return write_benchmark(tmp_path / "tanks.csv", samples=160)
 
 
 def quick(benchmark: Path, *more: str) -> list[str]:

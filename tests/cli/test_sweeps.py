@@ -18,9 +18,9 @@ from pgrssnn_jax.cli import packages
 from pgrssnn_jax.cli.config_store import register
 from pgrssnn_jax.cli.resume import override
 from pgrssnn_jax.cli.sweep_jobs import launcher_env, name_sweep
-from pgrssnn_jax.cli.sweeps import JobProgress, JobResult, content_name, job_status, result_table
+from pgrssnn_jax.cli.sweeps import JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder
-from pgrssnn_jax.training.run_lock import held
+from pgrssnn_jax.training.run_lock import locked
 
 TABLES = {
     "table1_tank": ("cascaded_tank", 12),
@@ -118,15 +118,15 @@ def test_what_no_sweep_can_have_is_named(overrides, sentence):
 def test_a_folder_says_how_far_its_run_has_come(tmp_path):
     run = RunFolder(tmp_path / "run")
     settings = {"fit": {"learning_rate": 1e-05, "guard": "none"}, "n": [0, 5], "resume": None}
-    assert job_status(run, settings) is JobProgress.NEW
+    assert job_status(run, settings) == "new"
     run.begin(OmegaConf.to_yaml(settings), command="python train.py", data={})
-    assert job_status(run, {"other": 1}) is JobProgress.NEW
+    assert job_status(run, {"other": 1}) == "new"
     (run.checkpoint / "0.orbax-checkpoint-tmp").mkdir(parents=True)
-    assert job_status(run, settings) is JobProgress.NEW
+    assert job_status(run, settings) == "new"
     (run.checkpoint / "0").mkdir()
-    assert job_status(run, settings) is JobProgress.BEGUN
+    assert job_status(run, settings) == "begun"
     run.finish()
-    assert job_status(run, {**settings, "resume": "elsewhere"}) is JobProgress.FINISHED
+    assert job_status(run, {**settings, "resume": "elsewhere"}) == "finished"
     for other in ({**settings, "n": [0]}, {**settings, "new": None}, {"n": [0, 5]}):
         with pytest.raises(ValueError, match="give the sweep another name .* or remove the folder"):
             job_status(run, other)
@@ -165,18 +165,18 @@ def test_one_process_at_a_time_in_a_folder(tmp_path):
     stop, inside = threading.Event(), threading.Event()
 
     def second() -> None:
-        with held(tmp_path / "run", stop, order.append):
+        with locked(tmp_path / "run", stop, order.append):
             order.append("second")
             inside.set()
 
-    with held(tmp_path / "run", stop, order.append):
+    with locked(tmp_path / "run", stop, order.append):
         thread = threading.Thread(target=second)
         thread.start()
         assert not inside.wait(0.5)
         order.append("first")
     thread.join(20)
     assert order == ["waiting for another process that works in run", "first", "second"]
-    with held(tmp_path / "run", threading.Event(), order.append):
+    with locked(tmp_path / "run", threading.Event(), order.append):
         stop.set()
         second()
     assert order[3:] == ["second"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pgrssnn_jax.data.csv_files import load_csv
+from pgrssnn_jax.data.benchmarks import load_csv
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 HEADER = "sequence,pump_voltage,level_voltage"

@@ -10,7 +10,7 @@ from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.build import record_from
 from pgrssnn_jax.records.record import Record, cast, crop, stack
-from pgrssnn_jax.records.splits import KFold, by_dataset, cut_windows, estimation_parts, kfold_masks, split_tail
+from pgrssnn_jax.records.splits import by_dataset, cut_windows, estimation_parts, kfold_masks, split_tail
 from pgrssnn_jax.training.members import select
 
 SAMPLES, TRAINED = 50, 35
@@ -24,15 +24,15 @@ def measured_once() -> Record:
     return whole._replace(mask=mask)
 
 
-def shared(whole: Record, seeds: list[int], folds: KFold) -> tuple[Record, Record]:
+def shared(whole: Record, seeds: list[int], folds: int, block: int) -> tuple[Record, Record]:
     parts = crop(whole, 0, TRAINED), crop(whole, TRAINED, SAMPLES)
-    return kfold_masks(*(stack([part] * len(seeds)) for part in parts), seeds, folds)
+    return kfold_masks(*(stack([part] * len(seeds)) for part in parts), seeds, folds, block)
 
 
 @pytest.mark.parametrize(("folds", "block"), [(2, 1), (3, 4), (5, 10)])
 def test_every_measured_sample_validates_in_one_fold_and_trains_in_the_others(folds: int, block: int) -> None:
     whole = measured_once()
-    train, validation = shared(whole, list(range(7, 7 + folds)), KFold(folds, block))
+    train, validation = shared(whole, list(range(7, 7 + folds)), folds, block)
     assert not (train.mask & validation.mask).any()
     np.testing.assert_array_equal(validation.mask.sum(0), whole.mask.astype(int))
     np.testing.assert_array_equal(train.mask.sum(0), (folds - 1) * whole.mask.astype(int))
@@ -42,7 +42,7 @@ def test_every_measured_sample_validates_in_one_fold_and_trains_in_the_others(fo
 
 
 def test_a_member_is_determined_by_its_seed_and_blocks_are_set_aside_whole() -> None:
-    train, _ = shared(measured_once()._replace(mask=np.ones((1, SAMPLES, 1), bool)), [4, 1, 7], KFold(3, 5))
+    train, _ = shared(measured_once()._replace(mask=np.ones((1, SAMPLES, 1), bool)), [4, 1, 7], 3, 5)
     aside = ~train.mask[:, 0, :, 0]
     assert (aside == aside[0]).all()
     assert np.array_equal(np.flatnonzero(aside[0]), [*range(5, 10), *range(20, 25), *range(35, 40)])
@@ -51,7 +51,7 @@ def test_a_member_is_determined_by_its_seed_and_blocks_are_set_aside_whole() -> 
 @pytest.mark.parametrize("start", ["first_output", "estimated"])
 def test_what_a_member_sets_aside_does_not_reach_its_training(start: str) -> None:
     fit, data = small_fit(initial=InitialState(start, 5), members=1)
-    train, validation = shared(measured_once(), [0], KFold(5, 5))
+    train, validation = shared(measured_once(), [0], 5, 5)
     data = select(data._replace(train=train, validation=validation), 0)
     other = data._replace(train=data.train._replace(y=np.where(data.train.mask, data.train.y, 9.0)))
     theta, changed = (jax.jit(fit.objective.begin)(jax.random.key(0), d) for d in (data, other))
@@ -66,7 +66,7 @@ def test_the_errors_set_aside_add_up_to_those_of_one_run_over_the_whole_record()
     fit, data = small_fit(initial=InitialState("zero"), members=1)
     data = select(data, 0)
     theta = fit.objective.begin(jax.random.key(0), data)
-    train, validation = shared(whole, list(range(folds)), KFold(folds, 6))
+    train, validation = shared(whole, list(range(folds)), folds, 6)
     aside = 0.0
     for member in range(folds):
         own = data._replace(train=select(train, member), validation=select(validation, member))
@@ -94,8 +94,8 @@ def test_a_fold_in_which_nothing_was_measured_is_named() -> None:
     whole = measured_once()
     whole = whole._replace(mask=whole.mask & (np.arange(SAMPLES) // 10 % 5 != 3)[None, :, None])
     with pytest.raises(ValueError, match="measured samples to validate on in every fold"):
-        shared(whole, [0, 3], KFold(5, 10))
-    shared(whole, [0, 1], KFold(5, 10))  # no member sets that fold aside
+        shared(whole, [0, 3], 5, 10)
+    shared(whole, [0, 1], 5, 10)  # no member sets that fold aside
 
 
 def test_members_of_an_experiment_share_one_run_and_report_what_they_set_aside() -> None:

@@ -1,0 +1,96 @@
+"""The two routes of a rollout give the same numbers, gradients and precision."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from toys import (
+    PUBLISHED,
+    WITHOUT_FEEDBACK,
+    compiled_rollout,
+    quick_jit,
+    spec,
+    toy_model,
+    toy_params,
+    toy_signals,
+)  # fmt: skip
+
+from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
+
+SPECS = {
+    **{name: spec(name) for name in WITHOUT_FEEDBACK},
+    "two layers with biases": spec("PG-RSSNN", gru_layers=2, gru_bias=True),
+    "dense": ModelSpec(recurrent=False, hidden=4),  # neither GRU nor feedback: not published, but can be asked for
+    "physics": ModelSpec(networks=False),
+}
+
+
+@pytest.mark.parametrize("fields", SPECS.values(), ids=SPECS)
+def test_routes_agree_in_single_precision(key, fields):
+    model = toy_model(fields)
+    params, (u, x0) = toy_params(model, key), toy_signals()
+    fused, split = (compiled_rollout(model, route)(params, u, x0) for route in ("fused", "split"))
+    for a, b in zip(fused, split, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
+
+
+@pytest.mark.parametrize("name", ["two layers with biases", "RSSNN-sgm", "dense", "physics"])
+def test_gradients_of_the_routes_agree(key, name):
+    model = toy_model(SPECS[name])
+    params, (u, x0) = toy_params(model, key), toy_signals()
+    target = jnp.asarray(np.random.default_rng(0).normal(size=(3, 7, 2)), jnp.float32)
+
+    def slopes(route):
+        def loss(*args):
+            return jnp.sum((rollout(model, *args, route=route).y - target) ** 2)
+
+        return jax.tree.leaves(quick_jit(jax.grad(loss, (0, 1, 2)))(params, u, x0))
+
+    for a, b in zip(slopes("fused"), slopes("split"), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("name", ["PG-RSSNN", "RSSNN-sgm"])
+def test_single_precision_weights_take_double_precision_signals(key, name):
+    """Weights as `init` draws them, everything else double: both routes promote, to the same numbers."""
+    model = toy_model(spec(name))
+    u, x0 = toy_signals(dtype=jnp.float64)
+    params = toy_params(model, key, jnp.float64)._replace(network=model.init(key))
+    assert {a.dtype for a in jax.tree.leaves(params.network)} == {jnp.dtype(jnp.float32)}
+    fused, split = (compiled_rollout(model, route)(params, u, x0) for route in ("fused", "split"))
+    assert fused.y.dtype == split.y.dtype == jnp.float64
+    np.testing.assert_allclose(fused.y, split.y, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(fused.x, split.x, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("route", ["fused", "split"])
+def test_gradients_have_the_precision_of_the_weights(key, route):
+    model = toy_model(spec("PG-RSSNN"))
+    u, x0 = toy_signals(dtype=jnp.float64)
+    params = toy_params(model, key, jnp.float64)
+
+    def loss(weights):
+        return rollout(model, params._replace(network=weights), u, x0, route=route).y.sum()
+
+    slopes = quick_jit(jax.grad(loss))(model.init(key))
+    assert {a.dtype for a in jax.tree.leaves(slopes)} == {jnp.dtype(jnp.float32)}
+
+
+@pytest.mark.parametrize("name", [n for n in PUBLISHED if n not in WITHOUT_FEEDBACK])
+def test_feedback_cannot_be_split(key, name):
+    model = toy_model(spec(name))
+    with pytest.raises(ValueError, match="route: expected 'fused' for a model with state feedback, found 'split'"):
+        rollout(model, toy_params(model, key), *toy_signals(), route="split")
+
+
+def test_without_a_wish_the_route_is_split_where_it_can_be(key):
+    """Seen in the program: the split route scans physics and each GRU apart, the fused one scans once."""
+    scans = {}
+    for name in ("PG-RSSNN", "PG-RSSNN(fb)", "RSSNN"):
+        model = toy_model(spec(name))
+        program = str(jax.make_jaxpr(lambda *a, m=model: rollout(m, *a))(toy_params(model, key), *toy_signals()))
+        scans[name] = program.count("= scan[")
+    assert scans == {"PG-RSSNN": 2, "PG-RSSNN(fb)": 1, "RSSNN": 1}

@@ -1,0 +1,103 @@
+"""A user's own physics, units and effects through the Python API."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pgrssnn_jax as pg
+
+QUICK = {"seeds": 2, "epochs": 2, "validate_every": 1, "chunk_epochs": 1, "hidden": 3, "quiet": True}
+CHEAP = {"draws": 99, "steps": 15, "starts": 1, "network_epochs": 0, "p_value": 0.02, "quiet": True}
+
+
+def pendulum(length=1.0, damping=0.1, dt=0.05, stiffness=0.0):
+    def derivative(p, x, u):
+        angle, rate = x
+        push = u[0] - stiffness * angle**3
+        return jnp.stack([rate, -9.81 / p["l"] * jnp.sin(angle) - p["d"] * rate + push / p["l"] ** 2])
+
+    return pg.continuous(
+        "pendulum",
+        derivative,
+        lambda p, x, u: x[:1],
+        {"l": length, "d": damping},
+        parameters={
+            "l": pg.Parameter("l", "m", bounds=(0.1, 10.0)),
+            "d": pg.Parameter("d", "1/s", bounds=(0.0, 10.0)),
+        },
+        states=(pg.Signal("angle", "rad", like="angle"), pg.Signal("rate", "rad/s", rate_of="angle")),
+        inputs=(pg.Signal("torque", "Nm"),),
+        outputs=(pg.Signal("angle", "rad"),),
+        dt=dt,
+    )
+
+
+def swing(physics, samples=400, seed=0, noise=0.003, torque=6.0):
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-torque, torque, (samples // 20 + 1, 1)), 20, axis=0)[:samples]
+    y = pg.simulate(physics, u, np.zeros(2)).y
+    return u, y + noise * rng.standard_normal(y.shape)
+
+
+def test_an_own_physics_trains_saves_and_is_given_again(tmp_path):
+    u, y = swing(pendulum())
+    record = pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest")
+    fitted = pg.fit("pg_rssnn", pendulum(length=1.1), record, initial_state="zero", **QUICK)
+    assert np.isfinite(fitted.score(record)["rmse"]).all()
+    fitted.save(tmp_path / "run")
+    with pytest.raises(ValueError, match="physics of one's own"):
+        pg.load(tmp_path / "run")
+    found = pg.load(tmp_path / "run", physics=pendulum(length=1.1))
+    np.testing.assert_array_equal(found.simulate(u), fitted.simulate(u))
+    with pytest.raises(ValueError, match="physics"):
+        pg.load(tmp_path / "run", physics=pg.physics.cascaded_tanks())
+
+
+def test_units_are_converted_or_refused():
+    u, y = swing(pendulum())
+    plain = pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest")
+    other = pg.record(1e3 * u, np.rad2deg(y), dt=0.05, inputs={"torque": "mNm"}, outputs={"angle": "deg"}, start="rest")
+    settings = {**QUICK, "initial_state": "zero"}
+    one, two = (pg.fit("pg_rssnn", pendulum(), record, **settings) for record in (plain, other))
+    np.testing.assert_allclose(one.losses.train, two.losses.train, rtol=1e-4)
+    wrong = pg.record(u, y, dt=0.05, inputs={"torque": "V"}, outputs={"angle": "rad"})
+    with pytest.raises(ValueError, match="torque: expected a unit that converts to Nm, found V"):
+        pg.fit("pg_rssnn", pendulum(), wrong, **QUICK)
+    slow = pg.record(u, y, dt=0.5, inputs={"torque": "Nm"}, outputs={"angle": "rad"})
+    with pytest.raises(ValueError, match=r"dt: expected 0.05 s"):
+        pg.fit("pg_rssnn", pendulum(), slow, **QUICK)
+
+
+@pytest.mark.slow
+def test_discovery_finds_a_hidden_effect_of_the_users_own(tmp_path):
+    spring = pg.Effect(
+        "cubic_spring",
+        {"k": pg.Parameter("k", "Nm/rad^3", bounds=(0.0, 50.0), neutral=0.0)},
+        lambda inner: pg.effects.after_step(
+            inner, "cubic_spring", lambda n, own, x, u, new: new.at[1].add(-0.05 * n["k"] * new[0] ** 3)
+        ),
+        title="Cubic spring",
+        initial_guesses=lambda span: [{"k": np.asarray(1.0)}, {"k": np.asarray(4.0)}],
+    )
+    truth = pg.add(pendulum(), spring, k=4.0)
+    records = []
+    for seed in (0, 1):
+        u, y = swing(truth, samples=600, seed=seed, torque=3.0)
+        records.append(pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest"))
+    others = [effect.name for effect in pg.effects.catalogue(pendulum()) if effect.name != "input_gain"]
+    found = pg.discover(pendulum(), *records, effects=[spring], without=others, **CHEAP)
+    assert [effect.name for effect in found.effects] == ["cubic_spring"]
+    number = found.effects[0].parameters["k"]
+    assert number["value"] == pytest.approx(4.0, rel=0.05)
+    assert number["interval"][0] < number["value"] < number["interval"][1]
+    assert found.gap["after"]["test"] < 0.2 * found.gap["recalibrated"]["test"]
+    y = pg.simulate(found.physics, records[1].u, np.zeros(2)).y
+    assert np.sqrt(np.mean((y - records[1].y) ** 2)) == pytest.approx(found.gap["after"]["test"], rel=0.2)
+    found.save(tmp_path / "found")
+    assert json.loads((tmp_path / "found" / "discovery.json").read_text())["verdict"] == found.verdict
+    better = pg.fit("pg_rssnn", found.physics, records[0], **QUICK)
+    assert better.settings.model.start_from_physics
+    assert "cubic_spring" in repr(better.physics.params)
+    assert "cubic_spring" in found._repr_html_()
