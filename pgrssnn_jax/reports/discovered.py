@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
-from pgrssnn_jax.reports.discovery_write import write_discovery_report
 from pgrssnn_jax.reports.run_files import yaml_text
+from pgrssnn_jax.reports.write import write_discovery_report
 from pgrssnn_jax.training.run_folder import RunFolder
 from pgrssnn_jax.training.run_lock import locked
 

@@ -8,13 +8,14 @@ import json
 import struct
 from collections.abc import Iterable, Mapping
 from html import escape
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from pgrssnn_jax.reports.content import Content, Exact
-from pgrssnn_jax.reports.stylesheet import STYLESHEET
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+STYLESHEET = resources.files("pgrssnn_jax.reports").joinpath("page.css").read_text(encoding="utf-8")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -130,7 +131,8 @@ def document(
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="{POLICY}">
 {tag("title", title)}
-<style>{STYLESHEET}</style>
+<style>
+{STYLESHEET}</style>
 </head>
 <body>
 {tag("main", Markup(chr(10).join(parts)), look=look)}

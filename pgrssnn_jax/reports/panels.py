@@ -1,7 +1,6 @@
 """Signals and their panels: an output measured and predicted, and what is left over."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +10,6 @@ from matplotlib.figure import Figure
 from pgrssnn_jax.reports import style
 
 READABLE, WINDOW = 1500, 300  # samples that one panel can show, and of a longer record
-ENVELOPE_BINS, THINNED_BINS = 700, 1500
 
 
 class Curve(NamedTuple):
@@ -61,8 +59,8 @@ def signals_of(
         values = np.asarray(values[..., k], np.float64)
         return np.where(np.isfinite(values), values, np.nan)
 
-    nothing = np.zeros((0, *measured.shape))
-    members, std = nothing if members is None else members, np.zeros(measured.shape) if std is None else std
+    members = np.zeros((0, *measured.shape)) if members is None else members
+    std = np.zeros(measured.shape) if std is None else std
     return [
         Signal(
             str(output["name"]),
@@ -95,15 +93,12 @@ def pair_axes(figure: Figure, count: int, ratios: Sequence[float]) -> list[list[
     return found
 
 
-def extent(start: int, stop: int, time: int) -> str:
+def extent(start: int, stop: int, time: int, sequences: int) -> str:
     """The samples shown, in words."""
+    samples = f"samples {start} to {stop - 1} of {time}"
     if (start, stop) == (0, time):
-        return "one sample" if time == 1 else f"all {time} samples"
-    return f"samples {start} to {stop - 1} of {time}"
-
-
-def which(sequence: int, count: int) -> str:
-    return f", sequence {sequence + 1} of {count}" if count > 1 else ""
+        samples = "one sample" if time == 1 else f"all {time} samples"
+    return samples + (f", sequence 1 of {sequences}" if sequences > 1 else "")
 
 
 def draw_signal(ax: Axes, signal: Signal, title: str = "") -> None:
@@ -128,7 +123,7 @@ def draw_residuals(ax: Axes, signal: Signal, *, x: str = "time (s)") -> None:
     left = [(curve, residual) for curve, residual in left if np.isfinite(residual).any()]
     for curve, residual in left:
         look = {"color": curve.left_over, "linewidth": 1.0, "marker": signal.marker, "gid": curve.name}
-        ax.plot(*thinned(signal.time, residual), **look)
+        ax.plot(signal.time, residual, **look)
     ax.margins(x=0.01)
     if not left:
         ax.set_yticks([])
@@ -143,30 +138,22 @@ def _draw_members(ax: Axes, signal: Signal, base: np.ndarray, sign: float) -> li
     if not len(signal.members):
         return []
     faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(signal.members), 0.06, 0.45))}
-    for member in signal.members:
-        ax.plot(signal.time, sign * (member - base), **faint)
+    ax.plot(signal.time, sign * (signal.members - base).T, **faint)
     middle = sign * (signal.curves[0].values - base)
     band = [middle - signal.std, middle + signal.std]
     ax.fill_between(signal.time, band[0], band[1], color=style.SKY, alpha=0.30, linewidth=0)
     return band
 
 
-def draw_overview(ax: Axes, signal: Signal, start: int, stop: int) -> None:
-    """The residual of the first curve over the whole sequence as its least and greatest value per bin."""
-    title = "residual of the whole sequence; shaded: the window above"
+def draw_overview(ax: Axes, signal: Signal, stop: int) -> None:
+    """The residual of the first curve over the whole sequence; the first `stop` samples are those of the window."""
     style.quiet(ax, x="time (s)", y=style.label("residual", signal.unit))
+    title = "residual of the whole sequence; shaded: the window above"
     ax.set_title(title, loc="left", fontsize=8, color=style.QUIET, pad=3)
-    residual = signal.measured - signal.curves[0].values
-    edges = np.unique(np.linspace(0, len(residual), ENVELOPE_BINS + 1).astype(int))
-    filled = np.isfinite(residual)
-    low = np.minimum.reduceat(np.where(filled, residual, np.inf), edges[:-1])
-    high = np.maximum.reduceat(np.where(filled, residual, -np.inf), edges[:-1])
-    low, high = (np.where(np.isfinite(a), a, np.nan) for a in (low, high))
-    look = {"color": style.VERMILLION, "alpha": 0.75, "linewidth": 0.4}
-    ax.fill_between(signal.time[edges[:-1]], low, high, step="post", **look)
+    look = {"color": style.VERMILLION, "alpha": 0.75, "linewidth": 0.5}
+    ax.plot(signal.time, signal.measured - signal.curves[0].values, **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    ends = signal.time[start], signal.time[stop - 1] + np.diff(signal.time[:2]).sum()
-    ax.axvspan(*ends, color=style.YELLOW, alpha=0.30, linewidth=0)
+    ax.axvspan(signal.time[0], signal.time[stop], color=style.YELLOW, alpha=0.30, linewidth=0)
     ax.margins(x=0.01)
 
 
@@ -183,16 +170,3 @@ def limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:
         box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
         place = {"transform": ax.transAxes, "ha": "right", "va": "top"}
         ax.text(0.995, 0.97, "predictions leave the axis", fontsize=8, color=style.VERMILLION, bbox=box, **place)
-
-
-def thinned(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A long signal as the least and the greatest value of each of 1500 bins, in order; a short one whole."""
-    if len(values) <= 2 * THINNED_BINS:
-        return t, values
-    edges = np.linspace(0, len(values), THINNED_BINS + 1).astype(int)
-    picked = []
-    for start, stop in pairwise(edges):
-        part = values[start:stop]
-        found = {int(np.nanargmin(part)), int(np.nanargmax(part))} if np.isfinite(part).any() else {0}
-        picked += [start + place for place in sorted(found)]
-    return t[picked], values[picked]

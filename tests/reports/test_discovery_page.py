@@ -16,7 +16,7 @@ from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.reports import discovery_summary as summary
 from pgrssnn_jax.reports.discovery_page import discovery_html
-from pgrssnn_jax.reports.discovery_write import write_discovery_report
+from pgrssnn_jax.reports.write import write_discovery_report
 from pgrssnn_jax.training.run_folder import RunFolder
 
 EVIL = "<script>alert(1)</script>\"'&"
