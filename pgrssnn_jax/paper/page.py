@@ -93,7 +93,7 @@ def _section(table: EvidenceTable, paper: Paper) -> list[Markup]:
     found, wrong = table_of(table), problems(table)
     return [
         tag("h2", found.title, id=table.slug),
-        found.html(),
+        found._replace(title="").html(),
         *([tag("div", bullets(wrong), look="banner", role="note")] if wrong else []),
         bullets(notes(table, paper), look="notes"),
     ]

@@ -11,7 +11,7 @@ from pgrssnn_jax.reports.content import MISSING, Content, Number, in_unit, mean_
 from pgrssnn_jax.reports.discovery_figures import DISCOVERY_CAPTIONS
 from pgrssnn_jax.reports.discovery_summary import Discovery, chance, percent, real, share
 from pgrssnn_jax.reports.markup import Markup, banner, card, document, numbered_figure, reproduce, tag, unit_of
-from pgrssnn_jax.reports.tabular import Row, Table, folded_table
+from pgrssnn_jax.reports.tabular import Row, Table
 
 SHOWN_ROWS = 15
 
@@ -87,8 +87,8 @@ def _found(discovery: Discovery) -> list[Markup]:
         ("", [str(row["name"]), str(row.get("reason") or MISSING)]) for row in discovery.get("untestable") or ()
     ]
     header = ("effect", "error energy taken away", "experiment that would tell")
-    parts += _section("Alternatives that these data cannot tell apart", header, others, look="prose")
-    return parts + _section("Effects that these data cannot test", ("effect", "why"), silent, look="prose")
+    parts.append(_table("Alternatives that these data cannot tell apart", header, others, "prose"))
+    return [*parts, _table("Effects that these data cannot test", ("effect", "why"), silent, "prose")]
 
 
 def _finding(effect: Mapping[str, Any]) -> Markup:
@@ -102,38 +102,25 @@ def _finding(effect: Mapping[str, Any]) -> Markup:
         tag("h3", str(effect.get("title") or effect["name"])),
         tag("p", str(effect["name"]), look="note"),
         tag("p", str(effect.get("equation") or ""), look="equation"),
-        _table(("number", "value ± std", "unit"), rows, "named"),
+        _table("", ("number", "value ± std", "unit"), rows),
         tag("dl", *facts),
         tag("pre", str(effect["command"])) if effect.get("command") else "",
         look="finding",
     )
 
 
-def _table(header: Sequence[str], rows: Sequence[Row], look: str) -> Markup:
-    return tag("div", folded_table(Table(header, rows), SHOWN_ROWS) if rows else "", look=look)
-
-
-def _section(title: str, header: Sequence[str], rows: Sequence[Row], *, look: str = "named") -> list[Markup]:
-    """A table under its heading; nothing where there are no rows."""
-    return [tag("h3", title), _table(header, rows, look)] if rows else []
+def _table(title: str, header: Sequence[str], rows: Sequence[Row], look: str = "named") -> Markup:
+    """Nothing where there are no rows."""
+    return tag("div", Table(header, rows, title, most=SHOWN_ROWS).html(), look=look) if rows else Markup()
 
 
 def _numbers(discovery: Discovery) -> list[Markup]:
-    metric, unit = summary.gap_metric(discovery)
-    gap: list[Row] = [
-        ("", [f"{row.stage}: {row.words}", *map(number, (row.train, row.test, row.low, row.high))])
-        for row in summary.gap_rows(discovery)
-    ]
     tried: list[Row] = []
     for row in discovery.get("ranking") or ():
         name = str(row["name"]) + ("" if row.get("cross_validated", True) else " (fitted only)")
         cells = [name, share(row.get("gain")), chance(row.get("p_value")), "yes" if row.get("chosen") else "no"]
         tried.append(("headline" if row.get("chosen") else "", cells))
-    moved: list[Row] = []
-    for row in summary.shifts(discovery):
-        fits = mean_std(row.recalibrated, row.recalibrated_std), mean_std(row.final, row.final_std)
-        moved.append(("", [row.name, number(row.before), *fits, row.unit or MISSING, share(row.size)]))
-    network, bounds = discovery.get("network") or {}, summary.at_bounds(discovery)
+    network = discovery.get("network") or {}
     of = str(network.get("metric") or "RMSE")
     supplied: list[Row] = [
         ("", [words, share(network.get(f"share_{stage}")), number(real(network.get(f"{of.lower()}_{stage}")))])
@@ -147,16 +134,14 @@ def _numbers(discovery: Discovery) -> list[Markup]:
         where.append(("", [str(row["equation"]), *shares, place, summary.intervals(row) or MISSING]))
     where_header = ("equation", "share of the error", "share of the samples", "where", "when")
     tried_title = "Candidate effects, error energy taken away in cross-validation"
-    shift_header = ("number", "before", "refitted ± std", "final ± std", "unit", "largest shift")
     network_header = ("physics", "share of the prediction", f"test {of}{in_unit(network.get('unit'))}")
     return [
         tag("h2", "Numbers", id="numbers"),
-        *_section(f"The gap: {metric}{in_unit(unit)}", ("physics", "train", "test", "test, from", "test, to"), gap),
-        *_section("Where physics and measurement disagree", where_header, where),
-        *_section(tried_title, ("effect", "error energy", "p", "chosen"), tried),
-        *_section("The numbers of the physics, largest shift first", shift_header, moved),
-        *([tag("p", bounds, look="note")] if bounds else []),
-        *_section("What the network of the PG-RSSNN has to supply", network_header, supplied),
+        tag("div", summary.gap_table(discovery).html(), look="named"),
+        _table("Where physics and measurement disagree", where_header, where),
+        _table(tried_title, ("effect", "error energy", "p", "chosen"), tried),
+        *(tag("div", table.html(), look="named") for table in summary.shift_table(discovery)),
+        _table("What the network of the PG-RSSNN has to supply", network_header, supplied),
     ]
 
 

@@ -48,7 +48,8 @@ def window(signals: Sequence[Signal]) -> tuple[int, int]:
 
 def worst(discovery: Discovery, arrays: Arrays) -> tuple[int | None, list[Sequence[Number]]]:
     """The state equation with the largest share of the error among those with a correction; and when it is wrong."""
-    rows = sorted(discovery.get("disagreement") or (), key=lambda row: -(row.get("share_of_error") or 0.0))
+    rows: list[Mapping[str, Any]] = list(discovery.get("disagreement") or ())
+    rows.sort(key=lambda row: -(row.get("share_of_error") or 0.0))
     names = [str(state["name"]) for state in discovery.get("states") or ()]
     correction = np.asarray(arrays.get("correction", np.zeros((0, 1, 1))), np.float64)[:, 0]
     size = {k: np.nanmean(values**2) for k, values in enumerate(correction) if np.isfinite(values).any()}

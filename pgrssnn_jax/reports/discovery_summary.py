@@ -167,12 +167,6 @@ def shifts(discovery: Discovery) -> list[Shift]:
     return sorted(rows, key=lambda row: -math.inf if math.isnan(row.size) else row.size, reverse=True)
 
 
-def at_bounds(discovery: Discovery) -> str:
-    """Which numbers a fit was not let go further with, as a sentence; empty where there are none."""
-    names = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
-    return f"At their bounds, beyond which the fit may want to go: {', '.join(names)}." if names else ""
-
-
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs."""
     rows = []
@@ -247,15 +241,11 @@ def discovery_summary(discovery: Discovery) -> Group:
             parts.append(Text(f"{name}: {row['name']}{gain}; {why}: {row.get(why) or MISSING}"))
     if discovery.get("formula"):
         parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
-    bounds = [Text(sentence)] if (sentence := at_bounds(discovery)) else []
-    parts += [_gap_table(discovery), *_shift_table(discovery), *bounds, _source(discovery)]
+    metrics = as_metrics(discovery)
+    source = Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
+    parts += [gap_table(discovery), *shift_table(discovery), source]
     spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
     return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
-
-
-def _source(discovery: Discovery) -> Text:
-    metrics = as_metrics(discovery)
-    return Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
 
 
 def _card(effect: Mapping[str, Any]) -> Panel:
@@ -272,23 +262,27 @@ def _card(effect: Mapping[str, Any]) -> Panel:
     return Panel(Group(equation, grid), title=title, title_align="left", box=box.ROUNDED)
 
 
-def _gap_table(discovery: Discovery) -> Table:
+def gap_table(discovery: Discovery) -> Table:
+    """The error of every stage of the physics, with its interval on test data."""
     metric, unit = gap_metric(discovery)
     closed = (discovery.get("gap") or {}).get("closed_fraction")
     footer = [f"{percent(closed)} of the gap closed"] if closed is not None else []
     rows: list[Row] = []
     for row in gap_rows(discovery):
-        span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
+        span = (number(row.low), " .. ", number(row.high)) if math.isfinite(row.low + row.high) else MISSING
         rows.append(("", [f"{row.stage}: {row.words}", number(row.train), number(row.test), span]))
-    header, title = ("physics", "train", "test", "test interval"), f"{metric}{content.in_unit(unit)}"
+    header, title = ("physics", "train", "test", "test interval"), f"The gap: {metric}{content.in_unit(unit)}"
     return Table(header, rows, title, footer, left=header[:1], wrap=True)
 
 
-def _shift_table(discovery: Discovery) -> list[Table]:
+def shift_table(discovery: Discovery) -> list[Table]:
+    """The numbers of the physics, the largest relative shift first; none where it has none."""
     rows: list[Row] = []
-    for row in (moved := shifts(discovery))[:SHOWN_SHIFTS]:
-        figures = number(row.before), number(row.recalibrated), mean_std(row.final, row.final_std)
-        rows.append(("", [row.name, *figures, row.unit or MISSING, share(row.size)]))
-    header, more = ("number", "before", "refitted", "final ± std", "unit", "shift"), len(moved) - SHOWN_SHIFTS
-    footer = [f"{more} more on the page"] if more > 0 else []
-    return [Table(header, rows, "numbers, largest shift first", footer, left=header[:1], wrap=True)] if rows else []
+    for row in shifts(discovery):
+        fits = mean_std(row.recalibrated, row.recalibrated_std), mean_std(row.final, row.final_std)
+        rows.append(("", [row.name, number(row.before), *fits, row.unit or MISSING, share(row.size)]))
+    header = ("number", "before", "refitted ± std", "final ± std", "unit", "shift")
+    at_bound = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
+    bounds = [f"At their bounds, beyond which the fit may want to go: {', '.join(at_bound)}."] if at_bound else []
+    title = "The numbers of the physics, largest shift first"
+    return [Table(header, rows, title, bounds, left=header[:1], wrap=True, most=SHOWN_SHIFTS)] if rows else []

@@ -12,8 +12,6 @@ from pgrssnn_jax.reports import content, markup, tables
 from pgrssnn_jax.reports.content import MISSING, Metrics, number, rounded
 from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag, unit_of
 
-SHOWN_MEMBERS = 20
-
 CAPTIONS = {
     "Prediction": "Free-run simulation of the test record. What the model explains lies on the measured line; what it"
     " does not is left in the residual below. Thin lines are members, the band is one standard deviation over them.",
@@ -124,22 +122,13 @@ def _figures(figures: Mapping[str, Path], animation: str) -> list[Markup]:
 
 def _numbers(metrics: Metrics, history: pd.DataFrame) -> list[Markup]:
     several = len(metrics["outputs"]) > 1
-    note = "Figures of one member are means over the outputs. " if several else ""
-    note += "n_init: first samples of every sequence that do not count; the row of this run is bold."
-    note += f" Members: {content.counts(metrics)}. {_training(history)}"
-    title, outputs = tag("h3", f"Output by output: {tables.OUTPUT_TITLE}"), tables.output_table(metrics).html()
-    members = tables.member_table(metrics, SHOWN_MEMBERS, numbered=False)
-    count = len(metrics["members"])
-    every = tables.member_table(metrics, max(count, 1), numbered=False)
+    note = "n_init: first samples of every sequence that do not count; the row of this run is bold."
     return [
         tag("h2", "Numbers", id="numbers"),
-        tag("h3", f"All members: {tables.summary_title(metrics)}"),
         tables.summary_table(metrics).html(),
-        tag("p", note, look="note"),
-        *([title, outputs] if several else []),
-        tag("h3", f"One by one: {tables.member_title(metrics)}", id="members"),
-        members.html(),
-        *([markup.folded(f"All {count} members", every.html())] if count > SHOWN_MEMBERS else []),
+        tag("p", f"{note} {_training(history)}", look="note"),
+        *([tables.output_table(metrics).html()] if several else []),
+        tag("section", tables.member_table(metrics).html(), id="members"),
     ]
 
 

@@ -234,7 +234,7 @@ def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
         (cells,) = re.findall(rf"position_{k + 1} +rad +(.*)", paper.getvalue())
         np.testing.assert_allclose([float(cell) for cell in cells.split()], expected, rtol=1e-3)
     alone = page(tmp_path, tanks(members=2, samples=30), ())
-    assert "Output by output" not in alone
+    assert "outputs; test record" not in alone
     assert "; NRMSE" not in alone
     sad = arm(members=2, samples=20, sequences=1, failed=(0, 1))
     assert "nan" not in page(tmp_path, sad, ()).lower()
