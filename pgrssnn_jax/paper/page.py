@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 
 from pgrssnn_jax.paper.collect import FoundRun
-from pgrssnn_jax.paper.order import ordering
+from pgrssnn_jax.paper.order import order_held
 from pgrssnn_jax.paper.published import Paper
 from pgrssnn_jax.paper.rows import EvidenceTable
 from pgrssnn_jax.paper.tables import notes, problems, table_of
@@ -75,12 +75,11 @@ def _banners(tables: Sequence[EvidenceTable]) -> list[Markup]:
 def _cards(tables: Sequence[EvidenceTable], runs: Sequence[FoundRun], paper: Paper) -> list[Markup]:
     rows = [row for table in tables for row in table.rows]
     finished, planned = sum(len(row.finished) for row in rows), sum(row.planned or 0 for row in rows)
-    orders = [ordering(table, paper) for table in tables]
-    held, turned = sum(len(order.held) for order in orders), sum(len(order.turned) for order in orders)
+    orders = [order_held(table, paper) for table in tables]
+    judged = number(sum(held for held, _ in orders)), " / ", number(sum(pairs for _, pairs in orders))
     ended = sum(run.state == "finished" for run in runs)
     spent = math.fsum(table.seconds for table in tables)
     failed = f"{sum(len(row.failed) for row in rows)} failed"
-    judged = number(held), " / ", number(held + turned)
     return [
         card("runs finished", (number(ended), " / ", number(len(runs))), "DONE stands in their folder"),
         card("members finished", (number(finished), " / ", number(planned)), failed),

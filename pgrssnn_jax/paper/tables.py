@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from pgrssnn_jax.paper.order import beats_lines, order_lines
+from pgrssnn_jax.paper.order import order_lines
 from pgrssnn_jax.paper.published import Paper, Value
 from pgrssnn_jax.paper.rows import EvidenceTable, Row, failures
 from pgrssnn_jax.reports.content import MISSING, Content, MemberRow, duration, mean_std, number, seconds, shown
@@ -107,7 +107,7 @@ def rule(table: EvidenceTable, paper: Paper) -> list[str]:
 
 def notes(table: EvidenceTable, paper: Paper) -> list[str]:
     """How the paper's order fares, why figures differ, where the data came from, what was asked for, what it cost."""
-    lines = [*rule(table, paper), *order_lines(table, paper), *beats_lines(table, paper)]
+    lines = [*rule(table, paper), *order_lines(table, paper)]
     lines += [f"{row.label}: {row.why}" for row in table.rows if row.why]
     if any(row.state == "quoted" for row in table.rows):
         lines.append(f"{QUOTED} quoted by the paper from the literature, not measured here")
