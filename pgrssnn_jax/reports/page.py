@@ -5,9 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
-
 from pgrssnn_jax.reports import content, markup, tables
 from pgrssnn_jax.reports.content import MISSING, Metrics, number, rounded
 from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag, unit_of
@@ -23,7 +20,7 @@ CAPTIONS = {
     "Members": "Test error of every member, sorted. The ensemble is the error of the mean prediction, which can be"
     " lower than the error of any member.",
 }
-"""How the title of a figure begins, and what to look at."""
+"""What to look at, by the title of a figure."""
 MOVING = (
     "The same sequence in motion, over and over; the picture says how fast. The line that runs along the curve is the"
     " moment shown."
@@ -32,7 +29,6 @@ MOVING = (
 
 def run_html(
     metrics: Metrics,
-    history: pd.DataFrame,
     figures: Mapping[str, Path],
     *,
     config_text: str,
@@ -59,7 +55,7 @@ def run_html(
         links=links | {"numbers": "Numbers", "members": "Members, one by one", "reproduce": "Reproduce"},
         sections=[
             *_figures(figures, animation),
-            *_numbers(metrics, history),
+            *_numbers(metrics),
             markup.reproduce(config_text, environment),
         ],
         footer="Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder.",
@@ -113,36 +109,19 @@ def _figures(figures: Mapping[str, Path], animation: str) -> list[Markup]:
     blocks = [tag("h2", "Figures")] if figures or animation else []
     moving = [markup.figure(Markup(animation), "The arm in motion", MOVING, look="moving")] if animation else []
     for k, (title, path) in enumerate(figures.items(), 1):
-        caption = next((text for name, text in CAPTIONS.items() if title.startswith(name)), "")
-        blocks.append(markup.numbered_figure(k, path, title, caption))
-        if title.startswith("Arm"):
+        blocks.append(markup.numbered_figure(k, path, title, CAPTIONS.get(title, "")))
+        if title == "Arm":
             blocks, moving = blocks + moving, []
     return blocks + moving
 
 
-def _numbers(metrics: Metrics, history: pd.DataFrame) -> list[Markup]:
+def _numbers(metrics: Metrics) -> list[Markup]:
     several = len(metrics["outputs"]) > 1
     note = "n_init: first samples of every sequence that do not count; the row of this run is bold."
     return [
         tag("h2", "Numbers", id="numbers"),
         tables.summary_table(metrics).html(),
-        tag("p", f"{note} {_training(history)}", look="note"),
+        tag("p", note, look="note"),
         *([tables.output_table(metrics).html()] if several else []),
         tag("section", tables.member_table(metrics).html(), id="members"),
     ]
-
-
-def _training(history: pd.DataFrame) -> str:
-    """How long was trained and how low the validation loss came."""
-    if history.empty:
-        return "No training epoch was recorded."
-    longest = f"Trained for {history['epoch'].to_numpy().max()} epochs at most"
-    loss = history["validation_loss"].to_numpy().astype(float)
-    if not np.isfinite(loss).any():
-        return f"{longest}, never validated."
-    lowest = int(np.argmin(np.where(np.isfinite(loss), loss, np.inf)))
-    epoch, seed, dataset = (history[name].to_numpy()[lowest] for name in ("epoch", "seed", "dataset"))
-    return (
-        f"{longest}; lowest validation loss {rounded(float(loss[lowest]))} (mean squared scaled error)"
-        f" at epoch {epoch} of seed {seed}, dataset {dataset}."
-    )

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import yaml
 from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
@@ -30,7 +31,7 @@ def write_report(run: RunFolder) -> None:
     drawn |= {"Arm": stick_figure(predictions, metrics)} if moves else {}
     drawn |= {"Training": training_figure(history, metrics), "Members": members_figure(metrics)}
     animation = stick_animation(predictions, metrics) if moves else ""
-    page = run_html(metrics, history, save_figures(run, drawn), animation=animation, **_how_made(run))
+    page = run_html(metrics, save_figures(run, drawn), animation=animation, **_how_made(run))
     run.write_text("report.html", page)
 
 
@@ -54,3 +55,7 @@ def save_figures(run: RunFolder, figures: Mapping[str, Figure]) -> dict[str, Pat
     for title, figure in figures.items():
         figure.savefig(files[title], dpi=_DOTS_PER_INCH)
     return files
+
+
+def yaml_text(config: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(dict(config), sort_keys=False, allow_unicode=True)

@@ -202,7 +202,7 @@ def page(tmp_path, run: Run, titles, **changes) -> str:
     png = tmp_path / "f.png"
     Figure((2, 1)).savefig(png)
     given = {"config_text": CONFIG, "environment": ENVIRONMENT, **changes}
-    return run_html(run.metrics, run.history, dict.fromkeys(titles, png), **given)
+    return run_html(run.metrics, dict.fromkeys(titles, png), **given)
 
 
 def test_the_page_shows_the_animation_below_the_arm_and_only_if_there_is_one(tmp_path):
