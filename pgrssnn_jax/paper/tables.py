@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -115,10 +115,6 @@ def notes(table: EvidenceTable, paper: Paper) -> list[str]:
         lines.append(f"every run was capped by budget={table.budget}: the figures are no match for the published ones")
     if table.common:
         lines.append("all runs with " + " ".join(f"{key}={value}" for key, value in table.common.items()))
-    epochs = sorted({row.run.epochs for row in table.rows if row.run and row.run.epochs})
-    if epochs:
-        span = f"{epochs[0]} to {epochs[-1]}" if len(epochs) > 1 else str(epochs[0])
-        lines.append(f"epochs, of the member of each run that trained longest: {span}")
     sources = dict.fromkeys(str(row.run.metrics.get("origin")) for row in table.measured if row.run and row.run.metrics)
     lines += [f"data: {origin}" for origin in sources]
     timed = sum(math.isfinite(row.seconds) for row in table.rows)
@@ -172,34 +168,24 @@ def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
 def _float(table: EvidenceTable, paper: Paper) -> str:
     whole = table_of(table)
     made = whole.only([name for name in whole.header if name not in _NOT_IN_LATEX])
-    rows = []
+    lines = [" & ".join(map(latex_escaped, made.header)) + r" \\ \midrule"]
     for look, cells in made.rows:
         name, *figures = (_latex_cell(shown(cell)) for cell in cells)
-        rows.append([rf"\textit{{{name}}}" if look == "quoted" else name, *figures])
+        lines.append(" & ".join([rf"\textit{{{name}}}" if look == "quoted" else name, *figures]) + r" \\")
     quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
     below = map(latex_escaped, [*quoted, *rule(table, paper), *problems(table)])
-    caption = f"{table.title}: {table.heading}, beside the figures of {paper.source}."
-    return "\n".join(
-        [
-            r"\begin{table}",
-            r"  \centering\scriptsize\setlength{\tabcolsep}{2.5pt}",
-            f"  \\caption{{{latex_escaped(caption)}}}\\label{{tab:{table.slug}}}",
-            f"  \\makebox[\\linewidth][c]{{\\begin{{tabular}}{{l{'r' * (len(made.header) - 1)}}}",
-            r"    \toprule",
-            _line(map(latex_escaped, made.header)),
-            r"    \midrule",
-            *map(_line, rows),
-            r"    \bottomrule",
-            r"  \end{tabular}}",
-            *(f"  \\par\\smallskip\\parbox{{\\linewidth}}{{\\scriptsize {text}}}" for text in below),
-            r"\end{table}",
-            "",
-        ]
-    )
-
-
-def _line(texts: Iterable[str]) -> str:
-    return "    " + " & ".join(texts) + r" \\"
+    notes = "\n".join(rf"  \par\smallskip\parbox{{\linewidth}}{{\scriptsize {text}}}" for text in below)
+    caption = latex_escaped(f"{table.title}: {table.heading}, beside the figures of {paper.source}.")
+    rows = "\n    ".join(lines)
+    return rf"""\begin{{table}}
+  \centering\scriptsize\setlength{{\tabcolsep}}{{2.5pt}}
+  \caption{{{caption}}}\label{{tab:{table.slug}}}
+  \makebox[\linewidth][c]{{\begin{{tabular}}{{l{"r" * len(made.header[1:])}}} \toprule
+    {rows}
+  \bottomrule \end{{tabular}}}}
+{notes}
+\end{{table}}
+"""
 
 
 def _latex_cell(cell: str) -> str:
