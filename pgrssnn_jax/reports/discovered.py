@@ -9,9 +9,8 @@ from matplotlib.figure import Figure
 
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
-from pgrssnn_jax.reports.discovery_summary import quantities
+from pgrssnn_jax.reports.discovery_tables import finding_table
 from pgrssnn_jax.reports.markup import html, tag
-from pgrssnn_jax.reports.tabular import Row, Table
 from pgrssnn_jax.reports.write import write_discovery_report, yaml_text
 from pgrssnn_jax.training.run_folder import RunFolder
 from pgrssnn_jax.training.run_lock import locked
@@ -86,9 +85,5 @@ class Discovered:
         return f"{self.verdict}: {self.sentence}"
 
     def _repr_html_(self) -> str:
-        rows: list[Row] = [
-            ("", [found["name"], found["equation"], ", ".join(f"{q.name} = {q.words}" for q in quantities(found))])
-            for found in self.details["effects"]
-        ]
-        table = Table(("effect", "equation", "numbers"), rows).html() if rows else ""
-        return html((tag("b", self.verdict), f": {self.sentence}", table))
+        found = (finding_table(effect).html() for effect in self.details["effects"])
+        return html((tag("b", self.verdict), f": {self.sentence}", *found))

@@ -13,10 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, panels, style
+from pgrssnn_jax.reports import discovery_facts as facts
 from pgrssnn_jax.reports import discovery_panels as found
-from pgrssnn_jax.reports import discovery_summary as summary
+from pgrssnn_jax.reports.discovery_facts import Discovery, real
 from pgrssnn_jax.reports.discovery_panels import COLOURS, Arrays
-from pgrssnn_jax.reports.discovery_summary import Discovery, real
 
 NOT_CHOSEN = "#b9c3cd"
 SHOWN_BARS, SHOWN_SHIFTS = 24, 16
@@ -178,7 +178,7 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
 def shifts_figure(discovery: Discovery) -> Figure:
     """Relative shift of every number of the physics, refitted on its own and with the missing effects, and its std."""
-    rows = summary.shifts(discovery)
+    rows = facts.shifts(discovery)
     movable = [row for row in rows if np.isfinite(row.size)]
     shown = movable[:SHOWN_SHIFTS]
     line = f"{len(shown)} of {len(rows)} numbers" + (", largest shifts" if len(movable) > len(shown) else "")
@@ -208,12 +208,12 @@ def shifts_figure(discovery: Discovery) -> Figure:
 
 
 def _page(discovery: Discovery, body: float, line: str) -> Figure:
-    metrics = summary.as_metrics(discovery)
-    return style.page(body, metrics, [summary.gap_line(discovery), f"{line} · {content.source(metrics)}"])
+    metrics = facts.as_metrics(discovery)
+    return style.page(body, metrics, [facts.gap_line(discovery), f"{line} · {content.source(metrics)}"])
 
 
 def _stages(*stages: str) -> list[Line2D]:
-    return [style.key(f"{stage}: {summary.STAGES[stage]}", COLOURS[stage], linewidth=1.6) for stage in stages]
+    return [style.key(f"{stage}: {facts.STAGES[stage]}", COLOURS[stage], linewidth=1.6) for stage in stages]
 
 
 def _empty(discovery: Discovery, part: str) -> Figure:

@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import Number
-from pgrssnn_jax.reports.discovery_summary import Discovery
+from pgrssnn_jax.reports.discovery_facts import Discovery
 from pgrssnn_jax.reports.panels import READABLE, WINDOW, Signal, signals_of
 
 COLOURS = {"before": style.VERMILLION, "recalibrated": style.YELLOW, "after": style.BLUE}

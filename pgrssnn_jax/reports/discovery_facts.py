@@ -1,22 +1,12 @@
-"""What `discovery.json` says: its verdict in words, its figures as rows, and all of it as a summary for the terminal.
-
-The page and the pictures of a discovery run read the same rows. A missing figure is NaN here and shown as a dash.
-"""
+"""What `discovery.json` says: its verdict in words, its figures as rows. A missing figure is NaN, shown as a dash."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich import box
-from rich.console import Group, RenderableType
-from rich.panel import Panel
-from rich.table import Table as RichTable
-from rich.text import Text
 
-from pgrssnn_jax.reports import content
-from pgrssnn_jax.reports.content import MISSING, Content, Metrics, Number, mean_std, number, plus_minus, rounded, shown
-from pgrssnn_jax.reports.tabular import Row, Table
+from pgrssnn_jax.reports.content import MISSING, Content, Metrics, Number, mean_std, number, rounded
 
 Discovery = Mapping[str, Any]
 
@@ -35,7 +25,6 @@ STAND_INS = (
 )
 
 STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "after": "with the missing effects"}
-SHOWN_SHIFTS = 10
 SHOWN_INTERVALS = 5
 
 
@@ -82,11 +71,10 @@ class Quantity(NamedTuple):
     at_bound: bool = False
 
     @property
-    def words(self) -> str:
+    def words(self) -> Content:
         """Value with deviation and unit."""
-        if self.at_bound:
-            return f"{rounded(self.value, self.unit)}, at its bound"
-        return plus_minus(self.value, self.std, self.unit)
+        unit = f" {self.unit}" if self.unit else ""
+        return (number(self.value), unit, ", at its bound") if self.at_bound else (mean_std(self.value, self.std), unit)
 
 
 def real(value: Any) -> float:
@@ -205,84 +193,3 @@ def intervals(row: Mapping[str, Any]) -> str:
     spans = [f"{start:g} to {stop:g} s" for start, stop in (listed or ())]
     more = f" and {len(spans) - SHOWN_INTERVALS} more" if len(spans) > SHOWN_INTERVALS else ""
     return ", ".join(spans[:SHOWN_INTERVALS]) + more + sequence
-
-
-def effect_facts(effect: Mapping[str, Any]) -> dict[str, Content]:
-    """Where and when an effect acts and how sure it is; what is not known is left out."""
-    runner, p, active = effect.get("runner_up") or {}, effect.get("p_value"), effect.get("active_fraction")
-    joints = ", ".join(map(str, effect.get("joints") or ()))
-    gains = [share(effect.get(f"gain_{part}")) for part in ("test", "train")]
-    facts: dict[str, Content | None] = {
-        "cause": effect.get("cause"),
-        "acts on": ", joint ".join(filter(None, (str(effect.get("acts_on") or ""), joints))),
-        "where": effect.get("region"),
-        "active": None if active is None else f"in {percent(active)} of the samples",
-        "when": intervals(effect),
-        "gap closed": (gains[0], " on test, ", gains[1], " on training data"),
-        "by chance": None if p is None else ("p = ", chance(p)),
-        "runner-up": (f"{runner.get('name')}, would close ", share(runner.get("gain"))) if runner else None,
-    }
-    return {name: found for name, found in facts.items() if found}
-
-
-def discovery_summary(discovery: Discovery) -> Group:
-    """The verdict in large, a card per finding, the gap, the largest shifts of parameters, the seconds."""
-    colour = "green" if discovery["verdict"] in ("no_discrepancy", "miscalibrated", "effect_found") else "yellow"
-    verdict = Text(f"{heading(discovery).upper()}\n", f"bold {colour}").append(
-        str(discovery.get("sentence") or ""), "not bold"
-    )
-    parts: list[RenderableType] = [Panel(verdict, box=box.HEAVY, border_style=colour, padding=(1, 2))]
-    if stand_ins(discovery):
-        parts.append(Text(STAND_INS))
-    parts += [_card(effect) for effect in discovery.get("effects") or ()]
-    for name, rows, why in (("or", "alternatives", "experiment"), ("cannot be tested", "untestable", "reason")):
-        for row in discovery.get(rows) or ():
-            gain = f", takes {percent(row['gain'])} of the error energy away" if row.get("gain") is not None else ""
-            parts.append(Text(f"{name}: {row['name']}{gain}; {why}: {row.get(why) or MISSING}"))
-    if discovery.get("formula"):
-        parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
-    metrics = as_metrics(discovery)
-    source = Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
-    parts += [gap_table(discovery), *shift_table(discovery), source]
-    spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
-    return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
-
-
-def _card(effect: Mapping[str, Any]) -> Panel:
-    grid = RichTable.grid(padding=(0, 2))
-    grid.add_column(style="dim", no_wrap=True)
-    grid.add_column()
-    for q in quantities(effect):
-        grid.add_row(Text(q.name), Text(q.words, "bold"))
-    command = {"command": str(effect["command"])} if effect.get("command") else {}
-    for name, fact in (effect_facts(effect) | command).items():
-        grid.add_row(Text(name), Text(shown(fact)))
-    equation = Text(str(effect.get("equation") or ""), "bold cyan")
-    title = Text(f"{effect.get('title') or effect['name']} · {effect['name']}", "bold")
-    return Panel(Group(equation, grid), title=title, title_align="left", box=box.ROUNDED)
-
-
-def gap_table(discovery: Discovery) -> Table:
-    """The error of every stage of the physics, with its interval on test data."""
-    metric, unit = gap_metric(discovery)
-    closed = (discovery.get("gap") or {}).get("closed_fraction")
-    footer = [f"{percent(closed)} of the gap closed"] if closed is not None else []
-    rows: list[Row] = []
-    for row in gap_rows(discovery):
-        span = (number(row.low), " .. ", number(row.high)) if math.isfinite(row.low + row.high) else MISSING
-        rows.append(("", [f"{row.stage}: {row.words}", number(row.train), number(row.test), span]))
-    header, title = ("physics", "train", "test", "test interval"), f"The gap: {metric}{content.in_unit(unit)}"
-    return Table(header, rows, title, footer, left=header[:1], wrap=True)
-
-
-def shift_table(discovery: Discovery) -> list[Table]:
-    """The numbers of the physics, the largest relative shift first; none where it has none."""
-    rows: list[Row] = []
-    for row in shifts(discovery):
-        fits = mean_std(row.recalibrated, row.recalibrated_std), mean_std(row.final, row.final_std)
-        rows.append(("", [row.name, number(row.before), *fits, row.unit or MISSING, share(row.size)]))
-    header = ("number", "before", "refitted ± std", "final ± std", "unit", "shift")
-    at_bound = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
-    bounds = [f"At their bounds, beyond which the fit may want to go: {', '.join(at_bound)}."] if at_bound else []
-    title = "The numbers of the physics, largest shift first"
-    return [Table(header, rows, title, bounds, left=header[:1], wrap=True, most=SHOWN_SHIFTS)] if rows else []
