@@ -36,7 +36,6 @@ def evidence_page(
         kind="Report of many runs",
         title=TITLE,
         heading=TITLE,
-        lead=_lead(tables, runs),
         facts=["; ".join(facts)],
         banners=_banners(tables),
         cards=_cards(tables, runs, paper),
@@ -54,15 +53,6 @@ def evidence_page(
     )
 
 
-def _lead(tables: Sequence[EvidenceTable], runs: Sequence[FoundRun]) -> str:
-    finished = sum(run.state == "finished" for run in runs)
-    absent = sum(row.state == "missing" for table in tables for row in table.rows)
-    lead = f"{finished} of {len(runs)} runs finished, in {len(tables)} table{'s'[: len(tables) - 1]}; "
-    return lead + (
-        f"without any run: {absent} variant{'s'[: absent - 1]}." if absent else "no variant is without a run."
-    )
-
-
 def _banners(tables: Sequence[EvidenceTable]) -> list[Markup]:
     metrics = [row.run.metrics for table in tables for row in table.rows if row.run and row.run.metrics]
     simulated = sum(found["source"] == "simulated" for found in metrics)
@@ -77,11 +67,11 @@ def _cards(tables: Sequence[EvidenceTable], runs: Sequence[FoundRun], paper: Pap
     finished, planned = sum(len(row.finished) for row in rows), sum(row.planned or 0 for row in rows)
     orders = [order_held(table, paper) for table in tables]
     judged = number(sum(held for held, _ in orders)), " / ", number(sum(pairs for _, pairs in orders))
-    ended = sum(run.state == "finished" for run in runs)
+    ended, absent = sum(run.state == "finished" for run in runs), sum(row.state == "missing" for row in rows)
     spent = math.fsum(table.seconds for table in tables)
     failed = f"{sum(len(row.failed) for row in rows)} failed"
     return [
-        card("runs finished", (number(ended), " / ", number(len(runs))), "DONE stands in their folder"),
+        card("runs finished", (number(ended), " / ", number(len(runs))), f"{absent} variants without any run"),
         card("members finished", (number(finished), " / ", number(planned)), failed),
         card("order of the paper", judged, "pairs that it tells apart hold here"),
         card("time", seconds(spent), "of all finished runs together"),

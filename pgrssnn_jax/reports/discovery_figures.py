@@ -52,37 +52,38 @@ def simulation_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
     Of more than 1500 samples a window of 300 is shown, around the largest residual of the nominal physics.
     """
-    signals, sequences = found.record(discovery, arrays, "test")
-    if not signals:
-        return _empty(discovery, "test")
     stages = ("before", "after")
-    signals = [s._replace(curves=[curve for curve in s.curves if curve.name in stages]) for s in signals]
+    signals, sequences = found.record(discovery, arrays, "test", stages)
+    if signals is None:
+        return _empty(discovery, "test")
     start, stop = found.window(signals)
-    body = -(-len(signals) // min(len(signals), 2)) * (4.6 if len(signals) == 1 else 3.4)
-    figure = _page(discovery, body, f"test record, {panels.extent(start, stop, len(signals[0].time), sequences)}")
-    for (top, under), signal in zip(panels.pair_axes(figure, len(signals), [3.0, 1.3]), signals, strict=True):
-        panels.draw_signal(top, signal.cut(start, stop))
-        panels.draw_residuals(under, signal.cut(start, stop))
+    shown, n_y = signals.cut(start, stop), len(signals.outputs)
+    body = -(-n_y // min(n_y, 2)) * (4.6 if n_y == 1 else 3.4)
+    figure = _page(discovery, body, f"test record, {panels.extent(start, stop, len(signals.time), sequences)}")
+    for k, (top, under) in enumerate(panels.pair_axes(figure, n_y, [3.0, 1.3])):
+        panels.draw_signal(top, shown, k)
+        panels.draw_residuals(under, shown, k)
     style.legend(figure, [style.key("measured", style.TRUTH, linewidth=2.8), *_stages(*stages)])
     return figure
 
 
 def disagreement_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     """Residuals on training data at every stage, and the correction that the worst equation needs."""
-    signals, sequences = found.record(discovery, arrays, "train")
-    if not signals:
+    signals, sequences = found.record(discovery, arrays, "train", COLOURS)
+    if signals is None:
         return _empty(discovery, "training")
-    columns = min(len(signals), 2)
-    rows = -(-len(signals) // columns)
-    extent = panels.extent(0, len(signals[0].time), len(signals[0].time), sequences)
-    figure = _page(discovery, rows * (2.5 if columns == 1 else 1.9) + 2.4, f"training record, {extent}")
+    n_y, time = len(signals.outputs), len(signals.time)
+    columns = min(n_y, 2)
+    rows = -(-n_y // columns)
+    extent = f"training record, {panels.extent(0, time, time, sequences)}"
+    figure = _page(discovery, rows * (2.5 if columns == 1 else 1.9) + 2.4, extent)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[1.0] * rows + [1.0 if columns == 1 else 1.3])
     state, intervals = found.worst(discovery, arrays)
-    for k, signal in enumerate(signals):
+    for k, output in enumerate(signals.outputs):
         ax = figure.add_subplot(grid[k // columns, k % columns])
-        panels.draw_residuals(ax, signal, x="" if columns == 1 else "time (s)")
-        if len(signals) > 1:
-            ax.set_title(style.plain(signal.name), loc="left", fontsize=9, color=style.INK, pad=5)
+        panels.draw_residuals(ax, signals, k, x="" if columns == 1 else "time (s)")
+        if n_y > 1:
+            ax.set_title(style.plain(str(output["name"])), loc="left", fontsize=9, color=style.INK, pad=5)
         found.shade(ax, intervals)
     ax = figure.add_subplot(grid[rows, :])
     handles: list[Artist] = [*_stages(*COLOURS)]
@@ -92,7 +93,7 @@ def disagreement_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     else:
         correction = arrays["correction"]
         mean, std = (a[state, 0] for a in (correction, arrays.get("correction_std", np.nan * correction)))
-        found.draw_correction(ax, signals[0].time[: len(mean)], mean, std, discovery["states"][state])
+        found.draw_correction(ax, signals.time[: len(mean)], mean, std, discovery["states"][state])
         handles.append(style.key("correction ± 2 std", style.GREEN, linewidth=1.6))
     found.shade(ax, intervals)
     if intervals:

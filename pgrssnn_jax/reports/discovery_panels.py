@@ -1,6 +1,6 @@
 """The panels of the discovery figures and the signals in them: the estimated correction, and a map of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import Number
 from pgrssnn_jax.reports.discovery_facts import Discovery
-from pgrssnn_jax.reports.panels import READABLE, WINDOW, Signal, signals_of
+from pgrssnn_jax.reports.panels import READABLE, WINDOW, Curve, Signals, finite
 
 COLOURS = {"before": style.VERMILLION, "recalibrated": style.YELLOW, "after": style.BLUE}
 UNVISITED = "#c3c9d0"
@@ -22,27 +22,28 @@ FEWEST_VISITS = 8
 Arrays = Mapping[str, np.ndarray]
 
 
-def record(discovery: Discovery, arrays: Arrays, part: str) -> tuple[list[Signal], int]:
-    """Every output of the first sequence of the record `part` (train or test), NaN where nothing was measured, with a
-    curve for each stage of the physics; and how many sequences there are."""
+def record(discovery: Discovery, arrays: Arrays, part: str, stages: Iterable[str]) -> tuple[Signals | None, int]:
+    """The first sequence of the record `part` (train or test), NaN where nothing was measured, with a curve for each of
+    these stages of the physics; and how many sequences there are. None where there is no such record."""
     y = np.asarray(arrays.get(f"y_{part}", np.zeros((0, 0, 0))))
     if not y.size:
-        return [], 0
-    measured = np.where(arrays.get(f"mask_{part}", True), y, np.nan)[0]
+        return None, 0
     nothing = np.full(y.shape, np.nan)
-    stages = {stage: (arrays.get(f"y_{stage}_{part}", nothing)[0], c, c) for stage, c in COLOURS.items()}
-    return signals_of(discovery.get("outputs") or (), arrays[f"time_{part}"], measured, stages), len(y)
+    simulated = {stage: finite(arrays.get(f"y_{stage}_{part}", nothing)[0]) for stage in stages}
+    curves = [Curve(stage, values, COLOURS[stage], COLOURS[stage]) for stage, values in simulated.items()]
+    measured = finite(np.where(arrays.get(f"mask_{part}", True), y, np.nan))[0]
+    time = np.asarray(arrays[f"time_{part}"], np.float64)
+    return Signals(discovery.get("outputs") or (), time, measured, curves, nothing[:0], nothing[0]), len(y)
 
 
-def window(signals: Sequence[Signal]) -> tuple[int, int]:
+def window(signals: Signals) -> tuple[int, int]:
     """The samples to show: all of a readable record, else those around the largest residual of the first curve."""
-    time = len(signals[0].time)
+    time = len(signals.time)
     if time <= READABLE:
         return 0, time
-    errors = [np.nan_to_num(np.abs(signal.measured - signal.curves[0].values)) for signal in signals]
-    spans = [np.ptp(np.nan_to_num(signal.measured)) or 1.0 for signal in signals]
-    middle = int(np.argmax(np.max([error / span for error, span in zip(errors, spans, strict=True)], axis=0)))
-    start = int(np.clip(middle - WINDOW // 2, 0, time - WINDOW))
+    span = np.ptp(np.nan_to_num(signals.measured), axis=0)
+    errors = np.nan_to_num(np.abs(signals.measured - signals.curves[0].values)) / np.where(span, span, 1.0)
+    start = int(np.clip(int(np.argmax(errors.max(1))) - WINDOW // 2, 0, time - WINDOW))
     return start, start + WINDOW
 
 

@@ -5,7 +5,6 @@ A page is one file that loads nothing: images are embedded, and its policy forbi
 
 import base64
 import json
-import struct
 from collections.abc import Iterable, Mapping
 from html import escape
 from importlib import resources
@@ -69,11 +68,10 @@ def folded(title: str, content: Content) -> Markup:
 def image(path: Path, alt: str) -> Markup:
     """A PNG file as an element that holds the file itself."""
     raw = path.read_bytes() if path.is_file() else b""
-    if not raw.startswith(PNG_SIGNATURE) or len(raw) < 24:
+    if not raw.startswith(PNG_SIGNATURE):
         raise ValueError(f"report: figures: expected a PNG file, found {path}")
-    width, height = struct.unpack(">II", raw[16:24])
     source = f"data:image/png;base64,{base64.b64encode(raw).decode('ascii')}"
-    return Markup(f'<img alt="{escape(alt)}" width="{width}" height="{height}" src="{source}">')
+    return Markup(f'<img alt="{escape(alt)}" src="{source}">')
 
 
 def figure(picture: Markup, title: str, caption: str, **attributes: str) -> Markup:
@@ -104,20 +102,20 @@ def document(
     kind: str,
     title: str,
     heading: str,
-    lead: str,
     facts: Iterable[str],
     banners: Iterable[Markup],
     cards: Iterable[Markup],
     links: Mapping[str, str],
     sections: Iterable[Markup],
     footer: str,
+    lead: str = "",
     look: str = "",
 ) -> str:
     """A whole page. kind: what it reports on; links: anchor → text of the index; look: class of the page."""
-    eyebrow, words = tag("p", kind, look="eyebrow"), tag("p", lead, look="lead")
+    words, known = (tag("p", text, look=of) for text, of in ((lead, "lead"), (" · ".join(facts), "facts")))
     anchors = (tag("a", text, href=f"#{anchor}") for anchor, text in links.items())
     parts = [
-        tag("header", eyebrow, tag("h1", heading), words, tag("p", " · ".join(facts), look="facts")),
+        tag("header", tag("p", kind, look="eyebrow"), tag("h1", heading), words if lead else "", known),
         *banners,
         tag("dl", *cards, look="cards"),
         tag("nav", bullets(anchors), aria_label="Contents"),

@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import MemberRow, Metrics, rounded
 
-COLUMNS = ("epoch", "seed", "dataset", "train_loss", "validation_loss")
 LOSS = "loss: mean squared scaled error (–)"
 NAMED_MEMBERS = 30
 
@@ -23,9 +22,6 @@ def training_figure(history: pd.DataFrame, metrics: Metrics) -> Figure:
     history: columns epoch, seed, dataset, train_loss, validation_loss (NaN where not validated). A failed member ends
     in a cross; where its loss runs away it is cut off a little above the loss of the others.
     """
-    missing = [name for name in COLUMNS if name not in history.columns]
-    if missing:
-        raise ValueError(f"training_figure: history: expected a column {missing[0]}, found {list(history.columns)}")
     rows = content.member_rows(metrics)
     kept = [row.best_epoch for row in rows if not row.failed and row.best_epoch is not None]
     epochs = f"{history['epoch'].to_numpy().max()} epochs at most" if len(history) else "no epochs"

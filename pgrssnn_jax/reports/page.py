@@ -1,6 +1,5 @@
 """The page of a run: one HTML file with everything inside."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -38,8 +37,7 @@ def run_html(
     """The HTML of the page.
 
     figures: title → PNG file, in the order of the page; animation: what `stick_animation` returned, taken over as it
-    is, to stand below the figure "Arm", or below all figures where there is none. Raises `ValueError` if a figure is
-    not a PNG file.
+    is, to stand below the figure "Arm". Raises `ValueError` if a figure is not a PNG file.
     """
     links = {f"figure-{k}": f"Figure {k}. {title}" for k, title in enumerate(figures, 1)}
     facts = [f"one sample every {metrics['dt']:g} s"]
@@ -48,7 +46,6 @@ def run_html(
         kind="Run report",
         title=content.heading(metrics),
         heading=content.heading(metrics),
-        lead=_lead(metrics),
         facts=[content.source(metrics), content.outputs(metrics), *facts],
         banners=_banners(metrics),
         cards=_cards(metrics),
@@ -60,16 +57,6 @@ def run_html(
         ],
         footer="Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder.",
     )
-
-
-def _lead(metrics: Metrics) -> str:
-    head, summary, unit = content.headline(metrics), metrics["summary"], content.unit(metrics)
-    lead = f"{summary['finished']} of {summary['planned']} planned members finished"
-    if not math.isfinite(head.mean):
-        return f"{lead}; there is no figure of merit."
-    lead += f"; test {content.merit(metrics)} {content.plus_minus(head.mean, head.std, unit)} over members"
-    lead += f", {rounded(head.ensemble, unit)} for their ensemble"
-    return lead + (f"; NRMSE {rounded(head.nrmse)} over members." if len(metrics["outputs"]) > 1 else ".")
 
 
 def _banners(metrics: Metrics) -> list[Markup]:
@@ -96,7 +83,7 @@ def _cards(metrics: Metrics) -> list[Markup]:
     several = f"mean of {len(metrics['outputs'])} outputs; " if len(metrics["outputs"]) > 1 else ""
     done = number(summary["finished"]), " / ", number(summary["planned"])
     return [
-        card("RMSE, mean ± std", mean, f"median {rounded(head.median, unit)}"),
+        card(f"{content.merit(metrics)}, mean ± std", mean, f"median {rounded(head.median, unit)}"),
         card("RMSE, best", (number(head.best), unit_of(unit)), best),
         card("RMSE, ensemble", (number(head.ensemble), unit_of(unit)), "error of the mean prediction"),
         card("NRMSE, mean", number(head.nrmse), f"{several}RMSE / std of the measured output"),
@@ -106,13 +93,12 @@ def _cards(metrics: Metrics) -> list[Markup]:
 
 
 def _figures(figures: Mapping[str, Path], animation: str) -> list[Markup]:
-    blocks = [tag("h2", "Figures")] if figures or animation else []
-    moving = [markup.figure(Markup(animation), "The arm in motion", MOVING, look="moving")] if animation else []
+    blocks = [tag("h2", "Figures")] if figures else []
     for k, (title, path) in enumerate(figures.items(), 1):
         blocks.append(markup.numbered_figure(k, path, title, CAPTIONS.get(title, "")))
-        if title == "Arm":
-            blocks, moving = blocks + moving, []
-    return blocks + moving
+        if title == "Arm" and animation:
+            blocks.append(markup.figure(Markup(animation), "The arm in motion", MOVING, look="moving"))
+    return blocks
 
 
 def _numbers(metrics: Metrics) -> list[Markup]:

@@ -41,15 +41,9 @@ def read_poses(predictions: Mapping[str, np.ndarray]) -> Poses:
     """The first sequence, turned so that the vertical plane in which the arm mostly lies faces the reader.
 
     predictions: `skeleton_measured` and `skeleton_predicted` `[seq, time, point, 3]` in metres, points from the base to
-    the tip, z up. Raises `ValueError` where these do not fit.
+    the tip, z up.
     """
-    measured, predicted = predictions["skeleton_measured"], predictions["skeleton_predicted"]
-    if measured.ndim != 4 or measured.shape[3] != 3 or 0 in measured.shape:
-        expected = "expected [sequence, time, point, 3], none of them empty"
-        raise ValueError(f"read_poses: skeleton_measured: {expected}, found {measured.shape}")
-    if predicted.shape != measured.shape:
-        raise ValueError(f"read_poses: skeleton_predicted: expected {measured.shape}, found {predicted.shape}")
-    both = np.stack([measured[0], predicted[0]]).astype(np.float64)
+    both = np.stack([predictions[f"skeleton_{name}"][0] for name in Poses._fields]).astype(np.float64)
     both = np.where(np.isfinite(both).all((2, 3), keepdims=True), both, np.nan)
     known = next((points[np.isfinite(points[:, 0, 0])] for points in both if np.isfinite(points).any()), None)
     if known is None:

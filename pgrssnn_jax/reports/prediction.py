@@ -27,35 +27,33 @@ class Compared(NamedTuple):
 
 def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Figure:
     """One pair of panels per output: the whole sequence up to 1500 samples, the first 300 samples of a longer one."""
-    _check(predictions, metrics)
     found, outputs, dt = compared(predictions, metrics), metrics["outputs"], metrics["dt"]
     best, unit = content.headline(metrics), content.unit(metrics)
-    members = content.plus_minus(best.mean, best.std, unit)
-    result = f"{content.merit(metrics)}: ensemble {rounded(best.ensemble, unit)} · members {members} (mean ± std)"
+    spread = content.plus_minus(best.mean, best.std, unit)
+    result = f"{content.merit(metrics)}: ensemble {rounded(best.ensemble, unit)} · members {spread} (mean ± std)"
     result += f" · {content.counts(metrics)} · n_init {metrics['n_init']}"
-    measured = np.where(predictions["mask"], predictions["y"], np.nan)
+    measured = panels.finite(np.where(predictions["mask"], predictions["y"], np.nan))
     n_seq, time, n_y = measured.shape
     stop = time if time <= panels.READABLE else panels.WINDOW
     ratios = [3.0, 1.3] if stop == time else [3.0, 1.3, 1.3]
     body = -(-n_y // min(n_y, 2)) * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
     extent = f"{found.remark}{panels.extent(0, stop, time, n_seq)} · {content.source(metrics)}"
     figure = style.page(body, metrics, [result, extent])
-    y_hat, mean, std = (array[..., 0, :, :] for array in found[:3])
-    lines = {found.label: (mean, style.BLUE, style.VERMILLION)}
-    signals = panels.signals_of(outputs, dt * np.arange(time), measured[0], lines, y_hat, std)
-    titles = _panel_titles(metrics)
-    for axes, signal, title in zip(panels.pair_axes(figure, n_y, ratios), signals, titles, strict=True):
-        panels.draw_signal(axes[0], signal.cut(0, stop), title)
-        panels.draw_residuals(axes[1], signal.cut(0, stop))
-        if not len(y_hat):
+    members, mean, std = (panels.finite(array[..., 0, :, :]) for array in found[:3])
+    curve = panels.Curve(found.label, mean, style.BLUE, style.VERMILLION)
+    signals = panels.Signals(outputs, dt * np.arange(time), measured[0], [curve], members, std)
+    for k, axes in enumerate(panels.pair_axes(figure, n_y, ratios)):
+        panels.draw_signal(axes[0], signals.cut(0, stop), k)
+        panels.draw_residuals(axes[1], signals.cut(0, stop), k)
+        if not len(members):
             style.note(axes[0], "no finished member to show: measurement only")
         if metrics["n_init"]:
             for ax in axes[:2]:
                 ax.axvspan(0.0, dt * min(metrics["n_init"], stop), color=style.QUIET, alpha=0.12, linewidth=0)
         for ax in axes[2:]:
-            panels.draw_overview(ax, signal, stop)
+            panels.draw_overview(ax, signals, k, stop)
     handles: list[Artist] = [style.key("measured", style.TRUTH, linewidth=2.8)]
-    if len(y_hat):
+    if len(members):
         handles += [
             style.key(found.label, style.BLUE, linewidth=1.4),
             Patch(facecolor=style.SKY, alpha=0.35, label="±1 std over members"),
@@ -64,30 +62,6 @@ def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -
         ]
     style.legend(figure, handles)
     return figure
-
-
-def _check(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> None:
-    y, outputs = predictions["y"].shape, len(metrics["outputs"])
-    if len(y) != 3 or 0 in y or y[2] != outputs:
-        raise ValueError(f"prediction_figure: y: expected [sequence, time, {outputs}], none of them empty, found {y}")
-    shapes = {"mask": y, "ensemble_mean": y, "ensemble_std": y, "y_hat": (len(metrics["members"]), *y)}
-    for name, expected in shapes.items():
-        if predictions[name].shape != expected:
-            raise ValueError(f"prediction_figure: {name}: expected {expected}, found {predictions[name].shape}")
-
-
-def _panel_titles(metrics: Metrics) -> list[str]:
-    """Each output and its own figures, as means over members; on a single output the header has said it all."""
-    outputs = metrics["outputs"]
-    if len(outputs) == 1:
-        return [""]
-    tests = [m["test"] for m in metrics["members"] if m.get("test")]
-    titles = []
-    for k, output in enumerate(outputs):
-        rmse, nrmse = (content.over_outputs([test[name][k] for test in tests]) for name in ("rmse", "nrmse"))
-        found = f"RMSE {rounded(rmse, output.get('unit', ''))}, NRMSE {rounded(nrmse)}"
-        titles.append(f"{output['name']} · member mean: {found}")
-    return titles
 
 
 def compared(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Compared:

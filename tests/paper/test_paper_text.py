@@ -41,7 +41,7 @@ def table(sweep):
 
 def printed(table, width=130) -> str:
     paper = io.StringIO()
-    Console(file=paper, width=width, color_system=None).print(text.terminal_table(table, PAPER, width))
+    Console(file=paper, width=width, color_system=None).print(text.terminal_table(table, PAPER))
     return paper.getvalue()
 
 
@@ -53,13 +53,13 @@ def test_the_terminal_shows_every_row_with_its_counts(table):
     said = printed(table)
     rows = {line.split("  ")[1].strip(): line.split() for line in said.splitlines() if line.startswith("  ")}
     shown = rows["PG-RSSNN"]
-    assert " ".join(shown[1:]) == "0.3900 ± 0.0500 0.3900 0.3157 0.3510 10 / 10 0 0.44, best 0.34 -2.2 20 s"
+    assert " ".join(shown[1:]) == "0.3900 ± 0.0500 10 / 10 0.44, best 0.34 -2.2"
     assert "1.70 (6/10)" in said
-    assert rows["RSSNN"][1:5] == ["unfinished", "–", "–", "–"]
+    assert rows["RSSNN"][1] == "unfinished"
     assert rows["RSSNN-sgm"][1] == "failed"
     assert rows["RSSNN(fb)"][1] == "damaged"
     assert rows["PG-FCSSNN"][1] == "missing"
-    assert rows["W-PGNN"][-4:] == ["–", "–", "–", "–"]
+    assert rows["W-PGNN"][-2:] == ["–", "–"]
 
 
 def test_what_is_wrong_stands_below(table):
@@ -77,20 +77,18 @@ def test_the_rule_the_quotes_and_the_cost_are_stated(table):
     assert "(mean - published) / sqrt(std² (1/n + 1/n_p) + d²/12)" in said
     assert "(10 unless some failed)" in said
     assert "† quoted by the paper from the literature, not measured here" in said
-    assert "NLSS2 † – – – – – – 0.34 – –" in said
+    assert "NLSS2 † – – 0.34 –" in said
     assert "cost: 7222 s (2.0 h) in all, over 3 runs that tell their time" in said
 
 
 @pytest.mark.parametrize("width", [60, 80, 100])
-def test_a_narrow_terminal_loses_no_letter_and_says_what_it_leaves_out(table, width):
+def test_a_narrow_terminal_loses_no_letter(table, width):
     said = printed(table, width)
     assert "…" not in said
     assert max(map(len, said.splitlines())) <= width
-    assert "left out, the terminal is too narrow: median" in flat(said)
     for row in table.rows:
         assert all(word in said for word in row.label.split())
     assert {"0.3900", "0.0500"} <= set(said.split())
-    assert "left out" not in printed(table, 140)
 
 
 def test_members_that_never_reported_and_simulated_data_are_said(tmp_path):

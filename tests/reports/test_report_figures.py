@@ -151,14 +151,6 @@ def test_a_dollar_sign_in_a_name_is_a_dollar_sign():
         assert r"\$" in texts(figure)
 
 
-def test_wrong_arrays_are_named():
-    run = SMALL["tanks"]
-    with pytest.raises(ValueError, match="y_hat: expected"):
-        prediction_figure({**run.predictions, "y_hat": np.zeros((4, 1, 7, 1))}, run.metrics)
-    with pytest.raises(ValueError, match="expected a column validation_loss"):
-        training_figure(run.history.drop(columns="validation_loss"), run.metrics)
-
-
 def test_training_curves_are_those_of_the_history():
     run = SMALL["some failed"]
     left, right = training_figure(run.history, run.metrics).axes

@@ -124,14 +124,6 @@ def test_the_floor_carries_squares_around_the_base():
     np.testing.assert_allclose(off, off.round(), atol=1e-9)
 
 
-def test_arrays_of_another_shape_are_named():
-    wrong = {**RUN.predictions, "skeleton_predicted": np.zeros((2, 60, 3, 3))}
-    with pytest.raises(ValueError, match="skeleton_predicted: expected"):
-        stick_animation(wrong, RUN.metrics)
-    with pytest.raises(ValueError, match="skeleton_measured: expected"):
-        stick_figure({**wrong, "skeleton_measured": np.zeros((2, 60, 3))}, RUN.metrics)
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_the_animation_is_plain_xml_that_loads_and_runs_nothing(name):
     predictions, metrics = CASES[name]
@@ -214,7 +206,6 @@ def test_the_page_shows_the_animation_below_the_arm_and_only_if_there_is_one(tmp
     assert places == sorted(places)
     assert text.count("<svg") == 1
     assert "http://" not in text
-    assert page(tmp_path, RUN, (), animation=svg).count(svg) == 1
 
 
 def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
@@ -226,7 +217,6 @@ def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
     text = page(tmp_path, run, ())
     table = tables.output_table(run.metrics)
     assert table.html() in text
-    assert f"; NRMSE {run.metrics['summary']['nrmse_mean']:#.4g} over members." in text
     for k, (_, (name, unit, *merits)) in enumerate(table.rows):
         expected = [np.mean([test[name][k] for test in tests]) for name in ("rmse", "nrmse", "fit_percent", "cc")]
         assert (name, unit) == (f"position_{k + 1}", "rad")
@@ -235,7 +225,6 @@ def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
         np.testing.assert_allclose([float(cell) for cell in cells.split()], expected, rtol=1e-3)
     alone = page(tmp_path, tanks(members=2, samples=30), ())
     assert "outputs; test record" not in alone
-    assert "; NRMSE" not in alone
     sad = arm(members=2, samples=20, sequences=1, failed=(0, 1))
     assert "nan" not in page(tmp_path, sad, ()).lower()
 
