@@ -10,7 +10,7 @@ from pgrssnn_jax.paper.order import order_held
 from pgrssnn_jax.paper.published import Paper
 from pgrssnn_jax.paper.rows import EvidenceTable
 from pgrssnn_jax.paper.tables import notes, problems, table_of
-from pgrssnn_jax.reports.content import MISSING, number, seconds
+from pgrssnn_jax.reports.content import MISSING, duration
 from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, document, folded, numbered_figure, tag
 from pgrssnn_jax.reports.tabular import Row, Table
 
@@ -66,15 +66,15 @@ def _cards(tables: Sequence[EvidenceTable], runs: Sequence[FoundRun], paper: Pap
     rows = [row for table in tables for row in table.rows]
     finished, planned = sum(len(row.finished) for row in rows), sum(row.planned or 0 for row in rows)
     orders = [order_held(table, paper) for table in tables]
-    judged = number(sum(held for held, _ in orders)), " / ", number(sum(pairs for _, pairs in orders))
+    judged = f"{sum(held for held, _ in orders)} / {sum(pairs for _, pairs in orders)}"
     ended, absent = sum(run.state == "finished" for run in runs), sum(row.state == "missing" for row in rows)
     spent = math.fsum(table.seconds for table in tables)
     failed = f"{sum(len(row.failed) for row in rows)} failed"
     return [
-        card("runs finished", (number(ended), " / ", number(len(runs))), f"{absent} variants without any run"),
-        card("members finished", (number(finished), " / ", number(planned)), failed),
+        card("runs finished", f"{ended} / {len(runs)}", f"{absent} variants without any run"),
+        card("members finished", f"{finished} / {planned}", failed),
         card("order of the paper", judged, "pairs that it tells apart hold here"),
-        card("time", seconds(spent), "of all finished runs together"),
+        card("time", duration(spent), "of all finished runs together"),
     ]
 
 
@@ -92,5 +92,5 @@ def _run(run: FoundRun) -> Row:
     planned = MISSING if run.planned is None else str(run.planned)
     members, time = run.metrics["members"] if run.metrics else (), run.metrics["seconds"] if run.metrics else {}
     done = sum(member["status"] == "ok" for member in members)
-    cells = [f"{done} / {planned}", seconds(time.get("total")), str(run.environment.get("commit") or MISSING)]
+    cells = [f"{done} / {planned}", duration(time.get("total")), str(run.environment.get("commit") or MISSING)]
     return "" if run.state == "finished" else "failed", [run.name, run.state, *cells, run.reason]

@@ -10,7 +10,7 @@ import pandas as pd
 from pgrssnn_jax.paper.order import order_lines
 from pgrssnn_jax.paper.published import Paper, Value
 from pgrssnn_jax.paper.rows import EvidenceTable, Row, failures
-from pgrssnn_jax.reports.content import MISSING, Content, MemberRow, duration, mean_std, number, seconds, shown
+from pgrssnn_jax.reports.content import MISSING, MemberRow, duration, plus_minus, rounded
 from pgrssnn_jax.reports.tabular import Table
 
 QUOTED = "†"
@@ -39,29 +39,29 @@ def _look(row: Row) -> str:
     return "quoted" if row.state == "quoted" else missing or ("partial" if row.failed else "")
 
 
-def _cells(row: Row, table: EvidenceTable) -> list[Content]:
+def _cells(row: Row, table: EvidenceTable) -> list[str]:
     f, quoted = row.figures, row.state == "quoted"
     mean = MISSING if row.state in ("finished", "quoted") else row.state
     members = f"{len(row.finished)} / {MISSING if row.planned is None else row.planned}"
     return [
         f"{row.label} {QUOTED}" if quoted else row.label,
-        mean_std(f.mean, f.std) if math.isfinite(f.mean) else mean,
-        *map(number, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
+        plus_minus(f.mean, f.std) if math.isfinite(f.mean) else mean,
+        *map(rounded, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
         MISSING if quoted else members,
         MISSING if row.run is None or row.run.metrics is None else str(len(row.failed)),
         published(row.published),
-        number(row.difference, f"{row.difference:+.1f}"),
-        seconds(row.seconds),
+        f"{row.difference:+.1f}" if math.isfinite(row.difference) else MISSING,
+        duration(row.seconds),
     ]
 
 
-def published(value: Value | None) -> Content:
+def published(value: Value | None) -> str:
     """As the paper prints it: two decimals, the runs that finished where some failed, the best where it is given."""
     if value is None:
         return MISSING
     runs = f" ({value.finished}/{value.runs})" if value.finished < value.runs else ""
     best = f", best {value.best:.2f}" if value.best is not None else ""
-    return MISSING if value.mean is None else number(value.mean, f"{value.mean:.2f}"), runs + best
+    return (MISSING if value.mean is None else f"{value.mean:.2f}") + runs + best
 
 
 def problems(table: EvidenceTable) -> list[str]:
@@ -160,7 +160,7 @@ def _float(table: EvidenceTable, paper: Paper) -> str:
     made = whole.only([name for name in whole.header if name not in _NOT_IN_LATEX])
     lines = [" & ".join(map(latex_escaped, made.header)) + r" \\ \midrule"]
     for look, cells in made.rows:
-        name, *figures = (_latex_cell(shown(cell)) for cell in cells)
+        name, *figures = map(_latex_cell, cells)
         lines.append(" & ".join([rf"\textit{{{name}}}" if look == "quoted" else name, *figures]) + r" \\")
     quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
     below = map(latex_escaped, [*quoted, *rule(table, paper), *problems(table)])

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgrssnn_jax.reports.content import MISSING, Content, Metrics, Number, mean_std, number, rounded
+from pgrssnn_jax.reports.content import MISSING, Metrics, Number, plus_minus, rounded
 
 Discovery = Mapping[str, Any]
 
@@ -71,10 +71,11 @@ class Quantity(NamedTuple):
     at_bound: bool = False
 
     @property
-    def words(self) -> Content:
+    def words(self) -> str:
         """Value with deviation and unit."""
-        unit = f" {self.unit}" if self.unit else ""
-        return (number(self.value), unit, ", at its bound") if self.at_bound else (mean_std(self.value, self.std), unit)
+        if self.at_bound:
+            return f"{rounded(self.value, self.unit)}, at its bound"
+        return plus_minus(self.value, self.std, self.unit)
 
 
 def real(value: Any) -> float:
@@ -87,12 +88,8 @@ def percent(share: Any) -> str:
     return MISSING if not math.isfinite(share) else f"{share:.1f} %" if abs(share) < 99.95 else f"{share:.0f} %"
 
 
-def share(value: Number | None) -> Content:
-    return number(value, percent(value))
-
-
-def chance(p: Number | None) -> Content:
-    return number(p, f"{real(p):.2g}")
+def chance(p: Number | None) -> str:
+    return MISSING if p is None else f"{p:.2g}"
 
 
 def heading(discovery: Discovery) -> str:

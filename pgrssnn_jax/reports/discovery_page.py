@@ -8,10 +8,10 @@ from typing import Any
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports import discovery_facts as facts
 from pgrssnn_jax.reports import discovery_tables as tables
-from pgrssnn_jax.reports.content import MISSING, number, rounded
-from pgrssnn_jax.reports.discovery_facts import Discovery, percent, real, share
+from pgrssnn_jax.reports.content import MISSING, rounded
+from pgrssnn_jax.reports.discovery_facts import Discovery, percent
 from pgrssnn_jax.reports.discovery_figures import DISCOVERY_CAPTIONS
-from pgrssnn_jax.reports.markup import Markup, banner, card, document, numbered_figure, reproduce, tag, unit_of
+from pgrssnn_jax.reports.markup import Markup, banner, card, document, numbered_figure, reproduce, tag
 
 SHOWN_ROWS = 15
 
@@ -59,11 +59,11 @@ def _cards(discovery: Discovery) -> list[Markup]:
         row = rows[stage]
         span = f"; {rounded(row.low)} to {rounded(row.high)}" if math.isfinite(row.low + row.high) else ""
         note = row.words + span + (floor if stage == "after" else "")
-        cards.append(card(f"test {metric}, {stage}", (number(row.test), unit_of(unit)), note))
-    cards.append(card("gap closed", share(gap.get("closed_fraction")), "by the missing effects, on test data"))
+        cards.append(card(f"test {metric}, {stage}", rounded(row.test, unit), note))
+    cards.append(card("gap closed", percent(gap.get("closed_fraction")), "by the missing effects, on test data"))
     if network := discovery.get("network"):
         note = f"of the prediction; {percent(network.get('share_before'))} with the nominal physics"
-        cards.append(card("left to the network", share(network.get("share_after")), note))
+        cards.append(card("left to the network", percent(network.get("share_after")), note))
     return [*cards, card("time", *content.spent(discovery["seconds"]))] if discovery.get("seconds") else cards
 
 
@@ -77,7 +77,7 @@ def _found(discovery: Discovery) -> list[Markup]:
     if discovery.get("formula"):
         parts += [tag("h3", "What is missing, in symbols"), tag("pre", str(discovery["formula"]))]
     if wave:
-        size = number(real(wave.get("amplitude"))), f" {wave.get('unit') or ''}".rstrip()
-        period = content.seconds(real(wave.get("period_s")))
-        parts.append(tag("p", "The residual repeats with a period of ", period, " and an amplitude of ", *size, "."))
+        size = rounded(wave.get("amplitude"), wave.get("unit") or "")
+        period = content.duration(wave.get("period_s"))
+        parts.append(tag("p", f"The residual repeats with a period of {period} and an amplitude of {size}."))
     return [*parts, *(tag("div", table.html(), look="prose") for table in tables.open_tables(discovery))]

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports import discovery_facts as facts
-from pgrssnn_jax.reports.content import MISSING, Content, Number, mean_std, number
-from pgrssnn_jax.reports.discovery_facts import Discovery, chance, percent, real, share
+from pgrssnn_jax.reports.content import MISSING, Number, plus_minus, rounded
+from pgrssnn_jax.reports.discovery_facts import Discovery, chance, percent, real
 from pgrssnn_jax.reports.tabular import Row, Table
 
 SHOWN_ROWS = 15
@@ -22,8 +22,8 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
     """A missing effect: its equation and numbers, where and when it acts, how sure it is; without what is not known."""
     runner, p, active = effect.get("runner_up") or {}, effect.get("p_value"), effect.get("active_fraction")
     joints = ", ".join(map(str, effect.get("joints") or ()))
-    gains = [share(effect.get(f"gain_{part}")) for part in ("test", "train")]
-    known: dict[str, Content | None] = {
+    gains = [percent(effect.get(f"gain_{part}")) for part in ("test", "train")]
+    known: dict[str, str | None] = {
         "equation": effect.get("equation"),
         **{quantity.name: quantity.words for quantity in facts.quantities(effect)},
         "cause": effect.get("cause"),
@@ -31,9 +31,9 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
         "where": effect.get("region"),
         "active": None if active is None else f"in {percent(active)} of the samples",
         "when": facts.intervals(effect),
-        "gap closed": (gains[0], " on test, ", gains[1], " on training data"),
-        "by chance": None if p is None else ("p = ", chance(p)),
-        "runner-up": (f"{runner.get('name')}, would close ", share(runner.get("gain"))) if runner else None,
+        "gap closed": f"{gains[0]} on test, {gains[1]} on training data",
+        "by chance": None if p is None else f"p = {chance(p)}",
+        "runner-up": f"{runner.get('name')}, would close {percent(runner.get('gain'))}" if runner else None,
         "command": effect.get("command"),
     }
     rows = [[name, found] for name, found in known.items() if found]
@@ -43,7 +43,7 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
 def open_tables(discovery: Discovery) -> list[Table]:
     """What could not be told; none where there is nothing of the kind."""
     others = [
-        [str(row["name"]), share(row.get("gain")), str(row.get("experiment") or MISSING)]
+        [str(row["name"]), percent(row.get("gain")), str(row.get("experiment") or MISSING)]
         for row in discovery.get("alternatives") or ()
     ]
     silent = [[str(row["name"]), str(row.get("reason") or MISSING)] for row in discovery.get("untestable") or ()]
@@ -78,20 +78,20 @@ def gap_table(discovery: Discovery) -> Table:
     """The error of every stage of the physics, with its interval on test data."""
     metric, unit = facts.gap_metric(discovery)
     closed = (discovery.get("gap") or {}).get("closed_fraction")
-    rows: list[list[Content]] = []
+    rows: list[list[str]] = []
     for row in facts.gap_rows(discovery):
-        span = (number(row.low), " .. ", number(row.high)) if math.isfinite(row.low + row.high) else MISSING
-        rows.append([f"{row.stage}: {row.words}", number(row.train), number(row.test), span])
+        span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
+        rows.append([f"{row.stage}: {row.words}", rounded(row.train), rounded(row.test), span])
     table = _table(f"The gap: {metric}{content.in_unit(unit)}", ("physics", "train", "test", "test interval"), rows)
     return table._replace(footer=[f"{percent(closed)} of the gap closed"] if closed is not None else [])
 
 
 def shift_table(discovery: Discovery) -> Table:
     """The numbers of the physics, the largest relative shift first."""
-    rows: list[list[Content]] = []
+    rows: list[list[str]] = []
     for row in facts.shifts(discovery):
-        fits = mean_std(row.recalibrated, row.recalibrated_std), mean_std(row.final, row.final_std)
-        rows.append([row.name, number(row.before), *fits, row.unit or MISSING, share(row.size)])
+        fits = plus_minus(row.recalibrated, row.recalibrated_std), plus_minus(row.final, row.final_std)
+        rows.append([row.name, rounded(row.before), *fits, row.unit or MISSING, percent(row.size)])
     header = ("number", "before", "refitted ± std", "final ± std", "unit", "shift")
     at_bound = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
     bounds = [f"At their bounds, beyond which the fit may want to go: {', '.join(at_bound)}."] if at_bound else []
@@ -103,18 +103,18 @@ def number_tables(discovery: Discovery) -> list[Table]:
     tried: list[Row] = []
     for row in discovery.get("ranking") or ():
         name = str(row["name"]) + ("" if row.get("cross_validated", True) else " (fitted only)")
-        cells = [name, share(row.get("gain")), chance(row.get("p_value")), "yes" if row.get("chosen") else "no"]
+        cells = [name, percent(row.get("gain")), chance(row.get("p_value")), "yes" if row.get("chosen") else "no"]
         tried.append(("headline" if row.get("chosen") else "", cells))
     network = discovery.get("network") or {}
     of = str(network.get("metric") or "RMSE")
-    supplied: list[list[Content]] = [
-        [words, share(network.get(f"share_{stage}")), number(real(network.get(f"{of.lower()}_{stage}")))]
+    supplied: list[list[str]] = [
+        [words, percent(network.get(f"share_{stage}")), rounded(real(network.get(f"{of.lower()}_{stage}")))]
         for stage, words in facts.STAGES.items()
         if f"share_{stage}" in network
     ]
-    where: list[list[Content]] = []
+    where: list[list[str]] = []
     for row in sorted(discovery.get("disagreement") or (), key=lambda row: -(row.get("share_of_error") or 0.0)):
-        shares = share(row.get("share_of_error")), share(row.get("share_of_samples"))
+        shares = percent(row.get("share_of_error")), percent(row.get("share_of_samples"))
         place = str(row.get("rule") or _region(row.get("region") or {}))
         where.append([str(row["equation"]), *shares, place, facts.intervals(row) or MISSING])
     where_header = ("equation", "share of the error", "share of the samples", "where", "when")
@@ -130,7 +130,7 @@ def number_tables(discovery: Discovery) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[Content]], left: int = 1) -> Table:
+def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Table:
     return Table(header, [("", row) for row in rows], title, left=header[:left], wrap=True, most=SHOWN_ROWS)
 
 

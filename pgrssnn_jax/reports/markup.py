@@ -11,8 +11,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pgrssnn_jax.reports.content import Content, Exact
-
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 STYLESHEET = resources.files("pgrssnn_jax.reports").joinpath("page.css").read_text(encoding="utf-8")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -24,15 +22,15 @@ class Markup(str):
     __slots__ = ()
 
 
+Content = str | tuple[Any, ...]
+"""Text, HTML, or a sequence of such pieces."""
+
+
 def html(content: Content) -> Markup:
-    """Content as HTML: text is escaped, a number stands in a `<data>` element that holds its exact value."""
+    """Content as HTML: text is escaped."""
     if isinstance(content, Markup):
         return content
-    if isinstance(content, str):
-        return Markup(escape(content))
-    if isinstance(content, Exact):
-        return Markup(f'<data value="{content.value!r}">{escape(content.text)}</data>')
-    return Markup("".join(map(html, content)))
+    return Markup(escape(content) if isinstance(content, str) else "".join(map(html, content)))
 
 
 def tag(name: str, *content: Content, look: str = "", **attributes: str) -> Markup:
@@ -53,11 +51,6 @@ def banner(loud: str, *text: Content) -> Markup:
 
 def card(name: str, value: Content, note: str) -> Markup:
     return tag("div", tag("dt", name), tag("dd", value, tag("small", note)), look="card")
-
-
-def unit_of(text: Content) -> Content:
-    """A unit, or a deviation, behind the large number of a card."""
-    return (" ", tag("span", text, look="unit")) if text else ""
 
 
 def folded(title: str, content: Content) -> Markup:

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from pgrssnn_jax.reports import content, markup, tables
-from pgrssnn_jax.reports.content import MISSING, Metrics, number, rounded
-from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag, unit_of
+from pgrssnn_jax.reports.content import MISSING, Metrics, rounded
+from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag
 
 CAPTIONS = {
     "Prediction": "Free-run simulation of the test record. What the model explains lies on the measured line; what it"
@@ -76,17 +76,16 @@ def _banners(metrics: Metrics) -> list[Markup]:
 
 def _cards(metrics: Metrics) -> list[Markup]:
     head, summary, unit = content.headline(metrics), metrics["summary"], content.unit(metrics)
-    std = content.deviation(head.mean, head.std)
-    mean = number(head.mean), unit_of(("± ", std) if std else ""), unit_of(unit)
+    mean = content.plus_minus(head.mean, head.std, unit)
     finished, _ = content.ranked(content.member_rows(metrics))
     best = f"seed {finished[0].seed}, dataset {finished[0].dataset}" if finished else MISSING
     several = f"mean of {len(metrics['outputs'])} outputs; " if len(metrics["outputs"]) > 1 else ""
-    done = number(summary["finished"]), " / ", number(summary["planned"])
+    done = f"{summary['finished']} / {summary['planned']}"
     return [
         card(f"{content.merit(metrics)}, mean ± std", mean, f"median {rounded(head.median, unit)}"),
-        card("RMSE, best", (number(head.best), unit_of(unit)), best),
-        card("RMSE, ensemble", (number(head.ensemble), unit_of(unit)), "error of the mean prediction"),
-        card("NRMSE, mean", number(head.nrmse), f"{several}RMSE / std of the measured output"),
+        card("RMSE, best", rounded(head.best, unit), best),
+        card("RMSE, ensemble", rounded(head.ensemble, unit), "error of the mean prediction"),
+        card("NRMSE, mean", rounded(head.nrmse), f"{several}RMSE / std of the measured output"),
         card("members finished", done, f"{summary['failed']} failed"),
         card("time", *content.spent(metrics["seconds"])),
     ]

@@ -16,8 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports import content, style
-from pgrssnn_jax.reports.content import Content, Metrics
-from pgrssnn_jax.reports.markup import Markup, tag
+from pgrssnn_jax.reports.content import Metrics
+from pgrssnn_jax.reports.markup import Content, Markup, tag
 from pgrssnn_jax.reports.poses import Poses, Stage, circle, floor_lines, project, read_poses, set_stage
 
 FLOOR, SHADOW = "#f3f4f6", "#dcdfe3"

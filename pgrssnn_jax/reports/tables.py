@@ -3,7 +3,7 @@
 from collections import Counter
 
 from pgrssnn_jax.reports import content
-from pgrssnn_jax.reports.content import MISSING, Content, MemberRow, Metrics, number
+from pgrssnn_jax.reports.content import MISSING, MemberRow, Metrics, rounded
 from pgrssnn_jax.reports.tabular import Row, Table
 
 SUMMARY_HEADER = ("n_init", "mean", "std", "median", "best", "ensemble", "NRMSE mean")
@@ -15,7 +15,7 @@ SHOWN_MEMBERS = 20
 def summary_table(metrics: Metrics) -> Table:
     """One row per n_init, RMSE over members and of the ensemble; the n_init of the run is bold."""
     rows: list[Row] = [
-        ("headline" if row.headline else "", [str(row.n_init), *map(number, row[2:])])
+        ("headline" if row.headline else "", [str(row.n_init), *map(rounded, row[2:])])
         for row in content.summary_rows(metrics)
     ]
     return Table(SUMMARY_HEADER, rows, _title(metrics, "all members"), _footer(metrics))
@@ -27,7 +27,7 @@ def member_table(metrics: Metrics) -> Table:
     def row(member: MemberRow) -> Row:
         epoch = MISSING if member.best_epoch is None else str(member.best_epoch)
         status = "failed" if member.failed else "ok"
-        cells = [str(member.seed), str(member.dataset), status, epoch, *map(number, member[-4:])]
+        cells = [str(member.seed), str(member.dataset), status, epoch, *map(rounded, member[-4:])]
         return "failed" if member.failed else "", cells
 
     members = content.member_rows(metrics)
@@ -43,9 +43,9 @@ def output_table(metrics: Metrics) -> Table:
     """One row per output, in the order of `metrics.json`; of one output alone the other tables say as much."""
     tests = [member["test"] for member in metrics["members"] if member.get("test")]
 
-    def cells(k: int, output: Metrics) -> list[Content]:
+    def cells(k: int, output: Metrics) -> list[str]:
         merits = (content.over_outputs([test[name][k] for test in tests]) for name in content.MERITS)
-        return [output["name"], output.get("unit") or MISSING, *map(number, merits)]
+        return [output["name"], output.get("unit") or MISSING, *map(rounded, merits)]
 
     rows = [("", cells(k, output)) for k, output in enumerate(metrics["outputs"])]
     title = f"{content.heading(metrics)} · outputs; test record, means over finished members"

@@ -11,13 +11,12 @@ from rich import box
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from pgrssnn_jax.reports.content import Content, shown
 from pgrssnn_jax.reports.markup import Markup, bullets, folded, html, tag
 
 STYLES = {"headline": "bold", "failed": "red", "partial": "yellow", "quoted": "italic"}
 WORDS = ("status", "reason", "output", "unit", "variant", "folder", "state")  # at the left of a page's column
 
-Row = tuple[str, Sequence[Content]]
+Row = tuple[str, Sequence[str]]
 
 
 class Table(NamedTuple):
@@ -48,7 +47,7 @@ class Table(NamedTuple):
             side, overflow = "left" if name in self.left else "right", "fold" if self.wrap else "ellipsis"
             table.add_column(Text(name), justify=side, no_wrap=not self.wrap, overflow=overflow)
         for look, cells in self.rows[: self.most]:
-            table.add_row(*(Text(shown(cell)) for cell in cells), style=STYLES.get(look, ""))
+            table.add_row(*(Text(cell) for cell in cells), style=STYLES.get(look, ""))
         return table
 
     def html(self) -> Markup:
@@ -64,7 +63,7 @@ class Table(NamedTuple):
     def _html_rows(self, rows: Sequence[Row]) -> Markup:
         looks = ["words" if name in WORDS else "" for name in self.header]
 
-        def line(kind: str, cells: Sequence[Content], look: str = "") -> Markup:
+        def line(kind: str, cells: Sequence[str], look: str = "") -> Markup:
             return tag("tr", *(tag(kind, cell, look=of) for cell, of in zip(cells, looks, strict=True)), look=look)
 
         body = "\n".join(line("td", cells, look) for look, cells in rows)
@@ -75,7 +74,7 @@ class Table(NamedTuple):
     def markdown(self, escaped: Callable[[str], str]) -> str:
         lines = [_pipes(map(escaped, self.header)), "|:---|" + "---:|" * (len(self.header) - 1)]
         for look, cells in self.rows:
-            name, *rest = (escaped(shown(cell)) for cell in cells)
+            name, *rest = map(escaped, cells)
             lines.append(_pipes([f"*{name}*" if look == "quoted" else name, *rest]))
         return "\n".join(lines)
 

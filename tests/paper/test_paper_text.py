@@ -14,7 +14,6 @@ from pgrssnn_jax.paper import tables as text
 from pgrssnn_jax.paper.collect import collect
 from pgrssnn_jax.paper.published import Value, read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
-from pgrssnn_jax.reports import content
 
 PAPER = read_paper()
 EVIL = r"50 % of $x_1^2$ & {a}|b# ~ \cmd <b>*[d](e)`f` -- \n ± Ω" + '"'
@@ -119,7 +118,7 @@ def test_many_failed_members_are_counted_and_the_first_ones_named(tmp_path):
     ],
 )
 def test_published_figures_as_the_paper_prints_them(value, shown):
-    assert content.shown(text.published(value)) == shown
+    assert text.published(value) == shown
 
 
 def test_markdown_is_a_table_of_equal_columns_with_everything_escaped(table):
