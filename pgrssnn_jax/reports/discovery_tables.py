@@ -37,7 +37,8 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
         "command": effect.get("command"),
     }
     rows = [[name, found] for name, found in known.items() if found]
-    return _table(f"{effect.get('title') or effect['name']} · {effect['name']}", ("effect", "found"), rows, left=2)
+    title = f"{effect.get('title') or effect['name']} · {effect['name']}"
+    return _table(title, ("effect", "found"), rows, left=2)._replace(most=None)
 
 
 def open_tables(discovery: Discovery) -> list[Table]:
