@@ -20,8 +20,8 @@ from pgrssnn_jax.cli.process import Interrupted
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
 from pgrssnn_jax.records.arguments import call_with
-from pgrssnn_jax.reports.discovery_summary import discovery_summary
-from pgrssnn_jax.reports.run_files import yaml_text
+from pgrssnn_jax.reports.discovery_tables import discovery_summary
+from pgrssnn_jax.reports.write import yaml_text
 from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, short_path
 from pgrssnn_jax.training.settings import settings_from_config
 

@@ -95,7 +95,7 @@ def report_run(
     pictures = draw(tables, paper, folder)
     folder.write_text("report.html", evidence_page(tables, runs, paper, pictures, command))
     for table in tables:
-        console.print(terminal_table(table, paper, console.width))
+        console.print(terminal_table(table, paper))
     console.print(
         f"page: {short_path(out / 'report.html')}   tables: {short_path(out)}/tables.md, .csv, .tex", soft_wrap=True
     )

@@ -24,8 +24,8 @@ from pgrssnn_jax.cli.resume import override, resume_config, resumed_physics
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.records.splits import by_dataset
-from pgrssnn_jax.reports.run_files import finish, yaml_text
 from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
+from pgrssnn_jax.reports.write import yaml_text
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.loop import Losses, losses_table, no_losses
 from pgrssnn_jax.training.members import keys_of, map_members
@@ -152,7 +152,7 @@ def train_run(
     found = ensemble.evaluate(test)
     found.metrics["seconds"] |= {"evaluate": time.perf_counter() - started}
     found.metrics["seconds"]["total"] += found.metrics["seconds"]["evaluate"]
-    finish(run, ensemble, found)
+    ensemble.finish(run, found)
     metrics = json.loads((run.path / "metrics.json").read_text(encoding="utf-8"))
     console.print(member_table(metrics))
     if len(metrics["outputs"]) > 1:

@@ -12,12 +12,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
-
 from pgrssnn_jax.paper.published import Paper, Variant
 from pgrssnn_jax.reports.content import Metrics
-from pgrssnn_jax.training.run_folder import read_config
+from pgrssnn_jax.training.run_folder import RunFolder, read_config
 
 MARKS = {"config.yaml", "metrics.json", "DONE", "FAILED"}
 MERITS = ("rmse", "nrmse", "cc")
@@ -42,12 +39,6 @@ class FoundRun(NamedTuple):
     metrics: Metrics | None
     environment: Mapping[str, Any]
 
-    @property
-    def epochs(self) -> int | None:
-        """The most epochs that a member trained."""
-        members = self.metrics["members"] if self.metrics else ()
-        return max((member.get("epochs") or 0 for member in members), default=None)
-
 
 def collect(roots: Sequence[Path], paper: Paper) -> list[FoundRun]:
     """The runs below `roots`, every folder once, in the order of their names.
@@ -55,32 +46,14 @@ def collect(roots: Sequence[Path], paper: Paper) -> list[FoundRun]:
     Raises `ValueError` when there is none, or none that can be read.
     """
     places = {path.resolve(): (path, root) for root in roots for path in run_folders(root)}
-    found = [read_run(path, _below(path, root), paper) for path, root in places.values()]
-    runs = _with_siblings([run for run in found if run is not None], paper)
+    found = (read_run(path, _below(path, root), paper) for path, root in places.values())
+    runs = [run for run in found if run is not None]
     if not runs:
         where = ", ".join(map(str, roots))
         raise ValueError(f"runs: expected a folder with runs of train.py, found none below {where}")
     if all(run.state == "damaged" for run in runs):
         raise ValueError(f"runs: expected a run that can be read, found {runs[0].name}: {runs[0].reason}")
     return runs
-
-
-def _with_siblings(runs: list[FoundRun], paper: Paper) -> list[FoundRun]:
-    """A run that nothing says the experiment of takes that of another in the same folder: jobs of one sweep."""
-    sweeps = {run.path.resolve().parent: run for run in runs if run.experiment}
-
-    def known(run: FoundRun) -> FoundRun:
-        other = sweeps.get(run.path.resolve().parent)
-        if run.experiment or run.metrics or other is None:
-            return run
-        system, (model, physics, n_train) = run.system or other.system, run.variant
-        if usual := paper.systems.get(system):
-            physics, n_train = physics or usual.physics, usual.n_train if n_train is None else n_train
-        return run._replace(
-            experiment=other.experiment, budget=other.budget, system=system, variant=Variant(model, physics, n_train)
-        )
-
-    return [known(run) for run in runs]
 
 
 def run_folders(root: Path) -> Iterator[Path]:
@@ -99,42 +72,49 @@ def _below(path: Path, root: Path) -> str:
 def read_run(path: Path, name: str, paper: Paper) -> FoundRun | None:
     """None for a run of discover.py."""
     config = _kept(lambda: read_config(path))
-    environment = _kept(lambda: json.loads((path / "environment.json").read_text(encoding="utf-8")))
+    environment = _kept(lambda: RunFolder(path).read_json("environment.json"))
     if "discovery" in config or (path / "discovery.json").exists():
         return None
     state, reason, metrics = _ending(path)
-    found = metrics or {}
-    choices, overrides = environment.get("choices") or {}, _overrides(path, environment)
-
-    def said(key: str) -> Any:
-        return found.get(key) or choices.get(key) or overrides.get(key)
-
-    experiment, budget = _sweep(path.resolve().parent.name, paper)
-    if "experiment" in found or experiment is None:
-        experiment, budget = said("experiment"), said("budget")
-    known = paper.experiments.get(experiment or "")
-    data, model = _group(config, "data"), _group(config, "model")
+    found, overrides = metrics or {}, _overrides(path, environment)
+    said = {**overrides, **_given(environment.get("choices") or {}), **_given(found)}
+    if "experiment" not in found:
+        said |= _sweep(path.resolve().parent.name, paper)
+    known = paper.experiments.get(said.get("experiment") or "")
+    data, model = (_group(config, group) for group in ("data", "model"))
     system = found.get("data") or data.get("name") or (known.system if known else "")
     usual = paper.systems.get(system)
-    physics = said("physics") or (usual.physics if usual else found.get("system", ""))
+    physics = said.get("physics") or (usual.physics if usual else found.get("system", ""))
     trained_on = _number(overrides.get("data.n_train"))
     if trained_on is None and usual and usual.n_train is not None:
         trained_on = _number(found.get("n_train")) or _number(data.get("n_train")) or usual.n_train
-    budget = None if budget == "paper" else budget
-    variant = Variant(found.get("model") or model.get("name") or said("model") or "", physics, trained_on)
-    planned = max(found["summary"]["planned"], len(found["members"])) if found else _planned(config)
-    others = {key: value for key, value in overrides.items() if key not in _NAMES and not key.startswith("hydra.")}
+    variant = Variant(found.get("model") or model.get("name") or said.get("model") or "", physics, trained_on)
     return FoundRun(
-        path, name, state, reason, experiment, budget, system, variant, planned, others, metrics, environment
+        path=path,
+        name=name,
+        state=state,
+        reason=reason,
+        experiment=said.get("experiment"),
+        budget=None if said.get("budget") == "paper" else said.get("budget"),
+        system=system,
+        variant=variant,
+        planned=max(found["summary"]["planned"], len(found["members"])) if found else _planned(config),
+        overrides={k: v for k, v in overrides.items() if k not in _NAMES and not k.startswith("hydra.")},
+        metrics=metrics,
+        environment=environment,
     )
 
 
-def _sweep(folder: str, paper: Paper) -> tuple[str | None, str | None]:
+def _given(named: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in named.items() if value}
+
+
+def _sweep(folder: str, paper: Paper) -> dict[str, str | None]:
     """Experiment and budget from the name that a sweep's folder has unless the user gave it another."""
     for name in paper.experiments:
         if folder == name or folder.startswith(f"{name}_"):
-            return name, folder[len(name) + 1 :] or None
-    return None, None
+            return {"experiment": name, "budget": folder[len(name) + 1 :] or None}
+    return {}
 
 
 def _ending(path: Path) -> tuple[Literal["finished", "failed", "unfinished", "damaged"], str, Metrics | None]:
@@ -177,13 +157,12 @@ def read_metrics(path: Path) -> Metrics:
     return found
 
 
-def _kept(read: Callable[[], Any]) -> dict[str, Any]:
+def _kept(read: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """What a file holds; nothing where it is missing or damaged."""
     try:
-        found = read()
-    except (FileNotFoundError, ValueError, AssertionError, YAMLError, OmegaConfBaseException):
+        return read()
+    except ValueError:
         return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _overrides(path: Path, environment: Mapping[str, Any]) -> dict[str, str]:

@@ -124,23 +124,20 @@ def efficiency_figure(table: EvidenceTable, paper: Paper) -> Figure:
     """Mean over members against the samples trained on, and where all of them lie."""
     lines = ["line: mean over finished members, band: from the least to the greatest of them, dots: members"]
     figure = style.headed(4.1, table.title, [*lines, f"published: {paper.source}"], loud(table))
-    for k, (merit, name, unit) in enumerate([(table.merit, table.merit.upper(), table.unit), ("cc", "CC", "")], 1):
-        ax = figure.add_subplot(1, 2, k)
+    axes = figure.subplots(1, 2)
+    for ax, merit, name, unit in ((axes[0], table.merit, table.merit.upper(), table.unit), (axes[1], "cc", "CC", "")):
         style.quiet(ax, x=_amount(table, paper), y=style.label(f"test {name}", unit))
         ax.set_xticks(table.sizes)
         for series, look in _looks(table).items():
-            rows = [row for row in table.rows if row.series == series]
-            _draw_series(ax, rows, merit, look)
-            if merit == table.merit:
-                _draw_published(ax, rows, look[0])
+            _draw_series(ax, [row for row in table.rows if row.series == series], merit, look)
         if not ax.lines:
             style.note(ax, "no member finished")
     handles = [
         style.key(style.plain(series), colour, linestyle=dash, marker=marker, markersize=5)
         for series, (colour, dash, marker) in _looks(table).items()
     ]
-    look = {"markersize": 6.5, "markerfacecolor": "white", "markeredgecolor": style.INK, "markeredgewidth": 1.4}
-    published = style.dots("published mean, in the colour of its model", style.INK, "D", **look)
+    look = {**PUBLISHED, "markeredgecolor": style.INK}
+    published = Line2D([], [], linewidth=0, label="published mean, in the colour of its model", **look)
     style.legend(figure, [*handles, published])
     return figure
 
@@ -160,24 +157,17 @@ def _draw_series(ax: Axes, rows: Sequence[Row], merit: str, look: tuple[Any, ...
     colour, dash, marker = look
     points = []
     for row in rows:
-        values = row.finite(merit)
-        if row.variant.n_train is None or not len(values):
-            continue
-        points.append((row.variant.n_train, values.mean(), values.min(), values.max()))
-        if len(values) > 1:
-            ax.plot(np.full(len(values), row.variant.n_train), values, ".", color=colour, alpha=0.35, markersize=5)
+        n, values = row.variant.n_train, row.finite(merit)
+        if n is not None and len(values):
+            points.append((n, values.mean(), values.min(), values.max()))
+            if len(values) > 1:
+                ax.plot(np.full(len(values), n), values, ".", color=colour, alpha=0.35, markersize=5)
+        if n is not None and merit != "cc" and row.published and row.published.mean is not None:
+            ax.plot(n, row.published.mean, zorder=5, gid="published", **{**PUBLISHED, "markeredgecolor": colour})
     if points:
         n, mean, least, greatest = np.array(sorted(points)).T
         ax.fill_between(n, least, greatest, color=colour, alpha=0.13, linewidth=0)
         ax.plot(n, mean, color=colour, linestyle=dash, marker=marker, markersize=5, linewidth=1.6, gid="mean")
-
-
-def _draw_published(ax: Axes, rows: Sequence[Row], colour: str) -> None:
-    look = {"markersize": 7, "markerfacecolor": "white", "markeredgecolor": colour, "markeredgewidth": 1.5}
-    for row in rows:
-        n_train, mean = row.variant.n_train, row.published.mean if row.published else None
-        if n_train is not None and mean is not None:
-            ax.plot(n_train, mean, "D", zorder=5, gid="published", **look)
 
 
 def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:

@@ -6,11 +6,11 @@ from itertools import count
 from pathlib import Path
 
 from pgrssnn_jax.paper.collect import FoundRun
-from pgrssnn_jax.paper.order import ordering
+from pgrssnn_jax.paper.order import order_held
 from pgrssnn_jax.paper.published import Paper
 from pgrssnn_jax.paper.rows import EvidenceTable
 from pgrssnn_jax.paper.tables import notes, problems, table_of
-from pgrssnn_jax.reports.content import MISSING, number, seconds
+from pgrssnn_jax.reports.content import MISSING, duration
 from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, document, folded, numbered_figure, tag
 from pgrssnn_jax.reports.tabular import Row, Table
 
@@ -36,7 +36,6 @@ def evidence_page(
         kind="Report of many runs",
         title=TITLE,
         heading=TITLE,
-        lead=_lead(tables, runs),
         facts=["; ".join(facts)],
         banners=_banners(tables),
         cards=_cards(tables, runs, paper),
@@ -54,15 +53,6 @@ def evidence_page(
     )
 
 
-def _lead(tables: Sequence[EvidenceTable], runs: Sequence[FoundRun]) -> str:
-    finished = sum(run.state == "finished" for run in runs)
-    absent = sum(row.state == "missing" for table in tables for row in table.rows)
-    lead = f"{finished} of {len(runs)} runs finished, in {len(tables)} table{'s'[: len(tables) - 1]}; "
-    return lead + (
-        f"without any run: {absent} variant{'s'[: absent - 1]}." if absent else "no variant is without a run."
-    )
-
-
 def _banners(tables: Sequence[EvidenceTable]) -> list[Markup]:
     metrics = [row.run.metrics for table in tables for row in table.rows if row.run and row.run.metrics]
     simulated = sum(found["source"] == "simulated" for found in metrics)
@@ -75,17 +65,16 @@ def _banners(tables: Sequence[EvidenceTable]) -> list[Markup]:
 def _cards(tables: Sequence[EvidenceTable], runs: Sequence[FoundRun], paper: Paper) -> list[Markup]:
     rows = [row for table in tables for row in table.rows]
     finished, planned = sum(len(row.finished) for row in rows), sum(row.planned or 0 for row in rows)
-    orders = [ordering(table, paper) for table in tables]
-    held, turned = sum(len(order.held) for order in orders), sum(len(order.turned) for order in orders)
-    ended = sum(run.state == "finished" for run in runs)
+    orders = [order_held(table, paper) for table in tables]
+    judged = f"{sum(held for held, _ in orders)} / {sum(pairs for _, pairs in orders)}"
+    ended, absent = sum(run.state == "finished" for run in runs), sum(row.state == "missing" for row in rows)
     spent = math.fsum(table.seconds for table in tables)
     failed = f"{sum(len(row.failed) for row in rows)} failed"
-    judged = number(held), " / ", number(held + turned)
     return [
-        card("runs finished", (number(ended), " / ", number(len(runs))), "DONE stands in their folder"),
-        card("members finished", (number(finished), " / ", number(planned)), failed),
+        card("runs finished", f"{ended} / {len(runs)}", f"{absent} variants without any run"),
+        card("members finished", f"{finished} / {planned}", failed),
         card("order of the paper", judged, "pairs that it tells apart hold here"),
-        card("time", seconds(spent), "of all finished runs together"),
+        card("time", duration(spent), "of all finished runs together"),
     ]
 
 
@@ -93,7 +82,7 @@ def _section(table: EvidenceTable, paper: Paper) -> list[Markup]:
     found, wrong = table_of(table), problems(table)
     return [
         tag("h2", found.title, id=table.slug),
-        found.html(),
+        found._replace(title="").html(),
         *([tag("div", bullets(wrong), look="banner", role="note")] if wrong else []),
         bullets(notes(table, paper), look="notes"),
     ]
@@ -103,5 +92,5 @@ def _run(run: FoundRun) -> Row:
     planned = MISSING if run.planned is None else str(run.planned)
     members, time = run.metrics["members"] if run.metrics else (), run.metrics["seconds"] if run.metrics else {}
     done = sum(member["status"] == "ok" for member in members)
-    cells = [f"{done} / {planned}", seconds(time.get("total")), str(run.environment.get("commit") or MISSING)]
+    cells = [f"{done} / {planned}", duration(time.get("total")), str(run.environment.get("commit") or MISSING)]
     return "" if run.state == "finished" else "failed", [run.name, run.state, *cells, run.reason]

@@ -47,14 +47,6 @@ class System(NamedTuple):
     n_train: int | None
 
 
-class Beats(NamedTuple):
-    """The paper says that `model` is better than `others` with so many samples, in error and in correlation."""
-
-    model: str
-    others: tuple[str, ...]
-    n_train: int
-
-
 class Experiment(NamedTuple):
     """A table of the paper: the variants it holds, in order. quoted: figures of others that stand below them."""
 
@@ -62,7 +54,6 @@ class Experiment(NamedTuple):
     system: str
     variants: tuple[Variant, ...]
     quoted: Mapping[str, float]
-    beats: Beats | None
 
 
 class Paper(NamedTuple):
@@ -104,13 +95,11 @@ def read_paper() -> Paper:
         variants = tuple(
             Variant(model, physics, n_train) for n_train, physics, model in product(*axes, entry["models"] or models)
         )
-        beats = entry.get("beats")
         return Experiment(
             entry["title"],
             entry["system"],
             variants,
             found["quoted"][entry["system"]] if entry.get("quoted") else {},
-            Beats(beats["model"], tuple(beats["others"]), beats["n_train"]) if beats else None,
         )
 
     columns = found["table1"]["systems"]

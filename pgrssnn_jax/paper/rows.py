@@ -11,7 +11,7 @@ import numpy as np
 
 from pgrssnn_jax.paper.collect import FoundRun
 from pgrssnn_jax.paper.merits import NOTHING, Figures, difference, figures_of
-from pgrssnn_jax.paper.published import Beats, Experiment, Paper, System, Value, Variant
+from pgrssnn_jax.paper.published import Experiment, Paper, System, Value, Variant
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports.content import MemberRow
 
@@ -63,7 +63,6 @@ class EvidenceTable(NamedTuple):
     unit: str
     rows: tuple[Row, ...]
     common: dict[str, str]
-    beats: Beats | None
 
     @property
     def slug(self) -> str:
@@ -118,7 +117,6 @@ def _table(runs: list[FoundRun], paper: Paper) -> EvidenceTable:
         system.unit,
         (*_told_apart(_rows(runs, known, system, paper), differing), *_quoted(known)),
         common,
-        known.beats if known else None,
     )
 
 

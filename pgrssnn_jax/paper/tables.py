@@ -2,21 +2,20 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
 
-from pgrssnn_jax.paper.order import beats_lines, order_lines
+from pgrssnn_jax.paper.order import order_lines
 from pgrssnn_jax.paper.published import Paper, Value
 from pgrssnn_jax.paper.rows import EvidenceTable, Row, failures
-from pgrssnn_jax.reports.content import MISSING, Content, MemberRow, duration, mean_std, number, seconds, shown
+from pgrssnn_jax.reports.content import MISSING, MemberRow, duration, plus_minus, rounded
 from pgrssnn_jax.reports.tabular import Table
 
 QUOTED = "†"
 SHOWN_SEEDS = 12
-LEFT_OUT = ("median", "failed", "best", "ensemble", "time", "CC")  # where the terminal is too narrow, in this order
-GAP = 2  # letters between columns
+IN_TERMINAL = ("variant", "mean ± std", "members", "published", "difference")  # the page has all
 _NOT_IN_LATEX = ("failed", "time")  # members says as much, and the cost stands elsewhere
 _SIGNS = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
@@ -40,29 +39,29 @@ def _look(row: Row) -> str:
     return "quoted" if row.state == "quoted" else missing or ("partial" if row.failed else "")
 
 
-def _cells(row: Row, table: EvidenceTable) -> list[Content]:
+def _cells(row: Row, table: EvidenceTable) -> list[str]:
     f, quoted = row.figures, row.state == "quoted"
     mean = MISSING if row.state in ("finished", "quoted") else row.state
     members = f"{len(row.finished)} / {MISSING if row.planned is None else row.planned}"
     return [
         f"{row.label} {QUOTED}" if quoted else row.label,
-        mean_std(f.mean, f.std) if math.isfinite(f.mean) else mean,
-        *map(number, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
+        plus_minus(f.mean, f.std) if math.isfinite(f.mean) else mean,
+        *map(rounded, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
         MISSING if quoted else members,
         MISSING if row.run is None or row.run.metrics is None else str(len(row.failed)),
         published(row.published),
-        number(row.difference, f"{row.difference:+.1f}"),
-        seconds(row.seconds),
+        f"{row.difference:+.1f}" if math.isfinite(row.difference) else MISSING,
+        duration(row.seconds),
     ]
 
 
-def published(value: Value | None) -> Content:
+def published(value: Value | None) -> str:
     """As the paper prints it: two decimals, the runs that finished where some failed, the best where it is given."""
     if value is None:
         return MISSING
     runs = f" ({value.finished}/{value.runs})" if value.finished < value.runs else ""
     best = f", best {value.best:.2f}" if value.best is not None else ""
-    return MISSING if value.mean is None else number(value.mean, f"{value.mean:.2f}"), runs + best
+    return (MISSING if value.mean is None else f"{value.mean:.2f}") + runs + best
 
 
 def problems(table: EvidenceTable) -> list[str]:
@@ -107,7 +106,7 @@ def rule(table: EvidenceTable, paper: Paper) -> list[str]:
 
 def notes(table: EvidenceTable, paper: Paper) -> list[str]:
     """How the paper's order fares, why figures differ, where the data came from, what was asked for, what it cost."""
-    lines = [*rule(table, paper), *order_lines(table, paper), *beats_lines(table, paper)]
+    lines = [*rule(table, paper), *order_lines(table, paper)]
     lines += [f"{row.label}: {row.why}" for row in table.rows if row.why]
     if any(row.state == "quoted" for row in table.rows):
         lines.append(f"{QUOTED} quoted by the paper from the literature, not measured here")
@@ -115,10 +114,6 @@ def notes(table: EvidenceTable, paper: Paper) -> list[str]:
         lines.append(f"every run was capped by budget={table.budget}: the figures are no match for the published ones")
     if table.common:
         lines.append("all runs with " + " ".join(f"{key}={value}" for key, value in table.common.items()))
-    epochs = sorted({row.run.epochs for row in table.rows if row.run and row.run.epochs})
-    if epochs:
-        span = f"{epochs[0]} to {epochs[-1]}" if len(epochs) > 1 else str(epochs[0])
-        lines.append(f"epochs, of the member of each run that trained longest: {span}")
     sources = dict.fromkeys(str(row.run.metrics.get("origin")) for row in table.measured if row.run and row.run.metrics)
     lines += [f"data: {origin}" for origin in sources]
     timed = sum(math.isfinite(row.seconds) for row in table.rows)
@@ -130,18 +125,9 @@ def _source(row: Row) -> str | None:
     return row.run.metrics["source"] if row.run and row.run.metrics else None
 
 
-def terminal_table(table: EvidenceTable, paper: Paper, width: int) -> Table:
-    """The table for a terminal of so many columns; what does not fit is left out, and said so."""
-    whole = table_of(table)
-    texts = [whole.header, *(list(map(shown, cells)) for _, cells in whole.rows)]
-    widths = {name: max(map(len, column)) for name, column in zip(whole.header, zip(*texts, strict=True), strict=True)}
-    left_out = []
-    for name in LEFT_OUT:
-        if name in widths and sum(widths.values()) + GAP * (len(widths) + 1) > width:
-            left_out.append(name)
-            del widths[name]
-    narrow = [f"left out, the terminal is too narrow: {', '.join(left_out)}"] if left_out else []
-    return whole.only(list(widths))._replace(footer=[*narrow, *problems(table), *notes(table, paper)])
+def terminal_table(table: EvidenceTable, paper: Paper) -> Table:
+    """The columns that a terminal has room for."""
+    return table_of(table).only(IN_TERMINAL)._replace(footer=[*problems(table), *notes(table, paper)])
 
 
 def markdown(tables: Sequence[EvidenceTable], paper: Paper) -> str:
@@ -172,34 +158,24 @@ def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
 def _float(table: EvidenceTable, paper: Paper) -> str:
     whole = table_of(table)
     made = whole.only([name for name in whole.header if name not in _NOT_IN_LATEX])
-    rows = []
+    lines = [" & ".join(map(latex_escaped, made.header)) + r" \\ \midrule"]
     for look, cells in made.rows:
-        name, *figures = (_latex_cell(shown(cell)) for cell in cells)
-        rows.append([rf"\textit{{{name}}}" if look == "quoted" else name, *figures])
+        name, *figures = map(_latex_cell, cells)
+        lines.append(" & ".join([rf"\textit{{{name}}}" if look == "quoted" else name, *figures]) + r" \\")
     quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
     below = map(latex_escaped, [*quoted, *rule(table, paper), *problems(table)])
-    caption = f"{table.title}: {table.heading}, beside the figures of {paper.source}."
-    return "\n".join(
-        [
-            r"\begin{table}",
-            r"  \centering\scriptsize\setlength{\tabcolsep}{2.5pt}",
-            f"  \\caption{{{latex_escaped(caption)}}}\\label{{tab:{table.slug}}}",
-            f"  \\makebox[\\linewidth][c]{{\\begin{{tabular}}{{l{'r' * (len(made.header) - 1)}}}",
-            r"    \toprule",
-            _line(map(latex_escaped, made.header)),
-            r"    \midrule",
-            *map(_line, rows),
-            r"    \bottomrule",
-            r"  \end{tabular}}",
-            *(f"  \\par\\smallskip\\parbox{{\\linewidth}}{{\\scriptsize {text}}}" for text in below),
-            r"\end{table}",
-            "",
-        ]
-    )
-
-
-def _line(texts: Iterable[str]) -> str:
-    return "    " + " & ".join(texts) + r" \\"
+    notes = "\n".join(rf"  \par\smallskip\parbox{{\linewidth}}{{\scriptsize {text}}}" for text in below)
+    caption = latex_escaped(f"{table.title}: {table.heading}, beside the figures of {paper.source}.")
+    rows = "\n    ".join(lines)
+    return rf"""\begin{{table}}
+  \centering\scriptsize\setlength{{\tabcolsep}}{{2.5pt}}
+  \caption{{{caption}}}\label{{tab:{table.slug}}}
+  \makebox[\linewidth][c]{{\begin{{tabular}}{{l{"r" * len(made.header[1:])}}} \toprule
+    {rows}
+  \bottomrule \end{{tabular}}}}
+{notes}
+\end{{table}}
+"""
 
 
 def _latex_cell(cell: str) -> str:

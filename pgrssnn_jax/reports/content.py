@@ -41,33 +41,6 @@ class MemberRow(NamedTuple):
     cc: float
 
 
-class Exact(NamedTuple):
-    """A number as it is shown, and as it is."""
-
-    text: str
-    value: Number
-
-
-Content = str | tuple[Any, ...]
-"""Text, a number with its exact value, or a sequence of such pieces; `markup.html` turns it into HTML."""
-
-
-def shown(content: Content) -> str:
-    """Content as plain text."""
-    if isinstance(content, str):
-        return content
-    return content.text if isinstance(content, Exact) else "".join(map(shown, content))
-
-
-def number(value: Number | None, text: str = "") -> Content:
-    """A number as four significant digits, or as `text`, with its exact value; a dash for what is not a number."""
-    if value is None or not math.isfinite(value):
-        return MISSING
-    if isinstance(value, int):
-        return Exact(text or str(value), value)
-    return Exact(text or rounded(value), float(value))
-
-
 def rounded(value: Number | None, unit: str = "") -> str:
     """Four significant digits and the unit; a dash for what is not a number."""
     if value is None or not math.isfinite(value):
@@ -76,24 +49,15 @@ def rounded(value: Number | None, unit: str = "") -> str:
     return f"{digits} {unit}".rstrip()
 
 
-def deviation(mean: Number, std: Number) -> Content:
-    """To as many decimals as the mean, or with two digits where it is smaller; empty where there is none."""
-    if not (math.isfinite(mean) and math.isfinite(std)):
-        return ""
+def plus_minus(mean: Number, std: Number, unit: str = "") -> str:
+    """mean ± std and the unit; std to as many decimals as the mean, or with two digits where it is smaller."""
     digits = rounded(mean)
+    if not math.isfinite(mean + std):
+        return rounded(mean, unit)
     decimals = len(digits.partition(".")[2])
     plain = "e" not in digits and 10.0 ** (1 - decimals) <= std < 1e6
-    return number(float(std), f"{std:.{decimals}f}" if plain else f"{std:.2g}")
-
-
-def mean_std(mean: Number, std: Number) -> Content:
-    spread = deviation(mean, std)
-    return (number(float(mean)), " ± ", spread) if spread else number(float(mean))
-
-
-def plus_minus(mean: Number, std: Number, unit: str = "") -> str:
-    """mean ± std and the unit as text."""
-    return f"{shown(mean_std(mean, std))} {unit}".rstrip() if math.isfinite(mean) else MISSING
+    spread = f"{std:.{decimals}f}" if plain else f"{std:.2g}"
+    return f"{digits} ± {spread} {unit}".rstrip()
 
 
 def duration(seconds: Number | None) -> str:
@@ -103,14 +67,10 @@ def duration(seconds: Number | None) -> str:
     return f"{seconds:.0f} s" if seconds >= 999.5 else f"{seconds:.3g} s"
 
 
-def seconds(value: Number | None) -> Content:
-    return number(value, duration(value))
-
-
-def spent(by_phase: Mapping[str, Number | None]) -> tuple[Content, str]:
+def spent(by_phase: Mapping[str, Number | None]) -> tuple[str, str]:
     """The time of all phases, and that of each in words."""
     phases = ", ".join(f"{name} {duration(value)}" for name, value in by_phase.items() if name != "total")
-    return seconds(by_phase.get("total")), phases
+    return duration(by_phase.get("total")), phases
 
 
 def over_outputs(values: Sequence[Number | None] | Number | None) -> float:

@@ -1,7 +1,6 @@
 """The result of a discovery: what is missing, the physics with it, and how far the gap shrank."""
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,8 +9,9 @@ from matplotlib.figure import Figure
 
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
-from pgrssnn_jax.reports.discovery_write import write_discovery_report
-from pgrssnn_jax.reports.run_files import yaml_text
+from pgrssnn_jax.reports.discovery_tables import finding_table
+from pgrssnn_jax.reports.markup import html, tag
+from pgrssnn_jax.reports.write import write_discovery_report, yaml_text
 from pgrssnn_jax.training.run_folder import RunFolder
 from pgrssnn_jax.training.run_lock import locked
 
@@ -60,18 +60,8 @@ class Discovered:
 
     @property
     def effects(self) -> list[FoundEffect]:
-        return [
-            FoundEffect(
-                effect["name"],
-                effect["title"],
-                effect["equation"],
-                effect["parameters"],
-                effect["region"],
-                effect["p_value"],
-                tuple(effect.get("joints", ())),
-            )
-            for effect in self.details["effects"]
-        ]
+        found = ({name: effect.get(name) for name in FoundEffect._fields} for effect in self.details["effects"])
+        return [FoundEffect(**{**effect, "joints": tuple(effect["joints"] or ())}) for effect in found]
 
     def plot(self) -> Figure:
         """Measured test record, and its simulation by the nominal, the recalibrated and the final physics."""
@@ -95,17 +85,5 @@ class Discovered:
         return f"{self.verdict}: {self.sentence}"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td>{escape(effect.name)}</td><td>{escape(effect.equation)}</td><td>{escape(_numbers(effect))}</td></tr>"
-            for effect in self.effects
-        )
-        table = f"<table><tr><th>effect</th><th>equation</th><th>numbers</th></tr>{rows}</table>" if rows else ""
-        return f"<b>{escape(self.verdict)}</b>: {escape(self.sentence)}{table}"
-
-
-def _numbers(effect: FoundEffect) -> str:
-    def one(name: str, number: Mapping[str, Any]) -> str:
-        value, std = (np.array2string(np.asarray(number[key], float), precision=4) for key in ("value", "std"))
-        return f"{name} = {value} ± {std} {number['unit']}".rstrip()
-
-    return ", ".join(one(name, number) for name, number in effect.parameters.items())
+        found = (finding_table(effect).html() for effect in self.details["effects"])
+        return html((tag("b", self.verdict), f": {self.sentence}", *found))

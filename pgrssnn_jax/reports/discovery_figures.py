@@ -4,7 +4,6 @@ Each function takes `discovery.json` and the arrays of `discovery.npz` (those th
 `matplotlib.figure.Figure`; a missing piece becomes a sentence in its panel. `DISCOVERY_CAPTIONS` says what to look at.
 """
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,12 +13,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, panels, style
+from pgrssnn_jax.reports import discovery_facts as facts
 from pgrssnn_jax.reports import discovery_panels as found
-from pgrssnn_jax.reports import discovery_summary as summary
+from pgrssnn_jax.reports.discovery_facts import Discovery, real
 from pgrssnn_jax.reports.discovery_panels import COLOURS, Arrays
-from pgrssnn_jax.reports.discovery_summary import Discovery, real
 
-NO_HEADER = style.Header()
 NOT_CHOSEN = "#b9c3cd"
 SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 
@@ -49,72 +47,43 @@ def discovery_figures(discovery: Discovery, arrays: Arrays) -> dict[str, Figure]
     }
 
 
-def simulation_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0) -> Figure:
-    """The discovery figure of the test record: `discovery_figure` with the facts of the discovery."""
-    measured, simulated = found.record(arrays, "test")
-    if not measured.size:
-        return _empty(discovery, "test")
-    metrics = summary.as_metrics(discovery)
-    return discovery_figure(
-        measured,
-        {stage: simulated[stage] for stage in ("before", "after") if stage in simulated},
-        time=arrays["time_test"],
-        outputs=metrics["outputs"],
-        stages=("before", "after"),
-        sequence=sequence,
-        header=style.header(metrics, summary.gap_line(discovery)),
-    )
+def simulation_figure(discovery: Discovery, arrays: Arrays) -> Figure:
+    """Measured and simulated by the nominal physics and with the missing effects, and the residuals, on test data.
 
-
-def discovery_figure(
-    measured: np.ndarray,
-    simulated: Arrays,
-    *,
-    time: np.ndarray,
-    outputs: Sequence[Mapping[str, Any]],
-    stages: Sequence[str] = tuple(COLOURS),
-    sequence: int = 0,
-    header: style.Header = NO_HEADER,
-) -> Figure:
-    """Measured and simulated at stages of the physics, and the residuals, for every output of one sequence.
-
-    measured: `[seq, time, y]`, NaN where nothing was measured; simulated: the same by stage (before: nominal physics,
-    recalibrated, after: with the missing effects); time: seconds; outputs: `name` and `unit` of each. Of more than 1500
-    samples a window of 300 is shown, around the largest residual of the first stage.
+    Of more than 1500 samples a window of 300 is shown, around the largest residual of the nominal physics.
     """
-    given = {stage: values[sequence] for stage, values in simulated.items()}
-    signals = found.output_signals(outputs, time, measured[sequence], given)
-    signals = [s._replace(curves=[curve for curve in s.curves if curve.name in stages]) for s in signals]
+    stages = ("before", "after")
+    signals, sequences = found.record(discovery, arrays, "test", stages)
+    if signals is None:
+        return _empty(discovery, "test")
     start, stop = found.window(signals)
-    extent = f"test record, {panels.extent(start, stop, len(time))}{panels.which(sequence, len(measured))}"
-    body = -(-len(signals) // min(len(signals), 2)) * (4.6 if len(signals) == 1 else 3.4)
-    figure = style.headed(body, header.title, header.lines(extent), header.loud)
-    for (top, under), signal in zip(panels.pair_axes(figure, len(signals), [3.0, 1.3]), signals, strict=True):
-        panels.draw_signal(top, signal.cut(start, stop))
-        panels.draw_residuals(under, signal.cut(start, stop))
+    shown, n_y = signals.cut(start, stop), len(signals.outputs)
+    body = -(-n_y // min(n_y, 2)) * (4.6 if n_y == 1 else 3.4)
+    figure = _page(discovery, body, f"test record, {panels.extent(start, stop, len(signals.time), sequences)}")
+    for k, (top, under) in enumerate(panels.pair_axes(figure, n_y, [3.0, 1.3])):
+        panels.draw_signal(top, shown, k)
+        panels.draw_residuals(under, shown, k)
     style.legend(figure, [style.key("measured", style.TRUTH, linewidth=2.8), *_stages(*stages)])
     return figure
 
 
-def disagreement_figure(discovery: Discovery, arrays: Arrays, *, sequence: int = 0) -> Figure:
-    """Residuals of one training sequence at every stage, and the correction that the worst equation needs."""
-    measured, simulated = found.record(arrays, "train")
-    if not measured.size:
+def disagreement_figure(discovery: Discovery, arrays: Arrays) -> Figure:
+    """Residuals on training data at every stage, and the correction that the worst equation needs."""
+    signals, sequences = found.record(discovery, arrays, "train", COLOURS)
+    if signals is None:
         return _empty(discovery, "training")
-    given = {stage: values[sequence] for stage, values in simulated.items()}
-    outputs, time = discovery.get("outputs") or (), np.asarray(arrays["time_train"], np.float64)
-    signals = found.output_signals(outputs, time, measured[sequence], given)
-    columns = min(len(signals), 2)
-    rows = -(-len(signals) // columns)
-    body = rows * (2.5 if columns == 1 else 1.9) + 2.4
-    figure = _page(discovery, body, f"training record{panels.which(sequence, len(measured))}")
+    n_y, time = len(signals.outputs), len(signals.time)
+    columns = min(n_y, 2)
+    rows = -(-n_y // columns)
+    extent = f"training record, {panels.extent(0, time, time, sequences)}"
+    figure = _page(discovery, rows * (2.5 if columns == 1 else 1.9) + 2.4, extent)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[1.0] * rows + [1.0 if columns == 1 else 1.3])
-    state, intervals = found.worst(discovery, arrays, sequence)
-    for k, signal in enumerate(signals):
+    state, intervals = found.worst(discovery, arrays)
+    for k, output in enumerate(signals.outputs):
         ax = figure.add_subplot(grid[k // columns, k % columns])
-        panels.draw_residuals(ax, signal, x="" if columns == 1 else "time (s)")
-        if len(signals) > 1:
-            ax.set_title(style.plain(signal.name), loc="left", fontsize=9, color=style.INK, pad=5)
+        panels.draw_residuals(ax, signals, k, x="" if columns == 1 else "time (s)")
+        if n_y > 1:
+            ax.set_title(style.plain(str(output["name"])), loc="left", fontsize=9, color=style.INK, pad=5)
         found.shade(ax, intervals)
     ax = figure.add_subplot(grid[rows, :])
     handles: list[Artist] = [*_stages(*COLOURS)]
@@ -122,10 +91,9 @@ def disagreement_figure(discovery: Discovery, arrays: Arrays, *, sequence: int =
         style.quiet(ax, x="time (s)", y="correction (unit/s)")
         style.note(ax, "no correction could be estimated from these data", blank=True)
     else:
-        mean = np.asarray(arrays["correction"][state, sequence], np.float64)
-        nothing = np.full(np.shape(arrays["correction"]), np.nan)
-        std = np.asarray(arrays.get("correction_std", nothing)[state, sequence], np.float64)
-        found.draw_correction(ax, time[: len(mean)], mean, std, discovery["states"][state])
+        correction = arrays["correction"]
+        mean, std = (a[state, 0] for a in (correction, arrays.get("correction_std", np.nan * correction)))
+        found.draw_correction(ax, signals.time[: len(mean)], mean, std, discovery["states"][state])
         handles.append(style.key("correction ± 2 std", style.GREEN, linewidth=1.6))
     found.shade(ax, intervals)
     if intervals:
@@ -211,7 +179,7 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
 def shifts_figure(discovery: Discovery) -> Figure:
     """Relative shift of every number of the physics, refitted on its own and with the missing effects, and its std."""
-    rows = summary.shifts(discovery)
+    rows = facts.shifts(discovery)
     movable = [row for row in rows if np.isfinite(row.size)]
     shown = movable[:SHOWN_SHIFTS]
     line = f"{len(shown)} of {len(rows)} numbers" + (", largest shifts" if len(movable) > len(shown) else "")
@@ -241,12 +209,12 @@ def shifts_figure(discovery: Discovery) -> Figure:
 
 
 def _page(discovery: Discovery, body: float, line: str) -> Figure:
-    metrics = summary.as_metrics(discovery)
-    return style.page(body, metrics, [summary.gap_line(discovery), f"{line} · {content.source(metrics)}"])
+    metrics = facts.as_metrics(discovery)
+    return style.page(body, metrics, [facts.gap_line(discovery), f"{line} · {content.source(metrics)}"])
 
 
 def _stages(*stages: str) -> list[Line2D]:
-    return [style.key(f"{stage}: {summary.STAGES[stage]}", COLOURS[stage], linewidth=1.6) for stage in stages]
+    return [style.key(f"{stage}: {facts.STAGES[stage]}", COLOURS[stage], linewidth=1.6) for stage in stages]
 
 
 def _empty(discovery: Discovery, part: str) -> Figure:

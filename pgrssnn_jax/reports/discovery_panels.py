@@ -1,6 +1,6 @@
 """The panels of the discovery figures and the signals in them: the estimated correction, and a map of it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,8 @@ from matplotlib.patches import Rectangle
 
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import Number
-from pgrssnn_jax.reports.discovery_summary import Discovery, real
-from pgrssnn_jax.reports.panels import READABLE, WINDOW, Signal, signals_of, thinned
+from pgrssnn_jax.reports.discovery_facts import Discovery
+from pgrssnn_jax.reports.panels import READABLE, WINDOW, Curve, Signals, finite
 
 COLOURS = {"before": style.VERMILLION, "recalibrated": style.YELLOW, "after": style.BLUE}
 UNVISITED = "#c3c9d0"
@@ -22,48 +22,42 @@ FEWEST_VISITS = 8
 Arrays = Mapping[str, np.ndarray]
 
 
-def output_signals(
-    outputs: Sequence[Mapping[str, Any]], time: np.ndarray, measured: np.ndarray, simulated: Arrays
-) -> list[Signal]:
-    """Every output of one sequence; simulated: by stage of the physics, a stage that is not there is NaN throughout."""
-    nothing = np.full(measured.shape, np.nan)
-    stages = {stage: (simulated.get(stage, nothing), colour, colour) for stage, colour in COLOURS.items()}
-    return signals_of(outputs, time, measured, stages)
-
-
-def record(arrays: Arrays, part: str) -> tuple[np.ndarray, Arrays]:
-    """Measured, NaN where masked, and simulated by stage, `[seq, time, y]`, of the record `part` (train or test)."""
+def record(discovery: Discovery, arrays: Arrays, part: str, stages: Iterable[str]) -> tuple[Signals | None, int]:
+    """The first sequence of the record `part` (train or test), NaN where nothing was measured, with a curve for each of
+    these stages of the physics; and how many sequences there are. None where there is no such record."""
     y = np.asarray(arrays.get(f"y_{part}", np.zeros((0, 0, 0))))
-    mask = np.asarray(arrays.get(f"mask_{part}", np.ones(y.shape)), bool)
-    simulated = {stage: arrays[f"y_{stage}_{part}"] for stage in COLOURS if f"y_{stage}_{part}" in arrays}
-    return np.where(mask, y, np.nan), simulated
+    if not y.size:
+        return None, 0
+    nothing = np.full(y.shape, np.nan)
+    simulated = {stage: finite(arrays.get(f"y_{stage}_{part}", nothing)[0]) for stage in stages}
+    curves = [Curve(stage, values, COLOURS[stage], COLOURS[stage]) for stage, values in simulated.items()]
+    measured = finite(np.where(arrays.get(f"mask_{part}", True), y, np.nan))[0]
+    time = np.asarray(arrays[f"time_{part}"], np.float64)
+    return Signals(discovery.get("outputs") or (), time, measured, curves, nothing[:0], nothing[0]), len(y)
 
 
-def window(signals: Sequence[Signal]) -> tuple[int, int]:
+def window(signals: Signals) -> tuple[int, int]:
     """The samples to show: all of a readable record, else those around the largest residual of the first curve."""
-    time = len(signals[0].time)
+    time = len(signals.time)
     if time <= READABLE:
         return 0, time
-    errors = [np.nan_to_num(np.abs(signal.measured - signal.curves[0].values)) for signal in signals]
-    spans = [np.ptp(np.nan_to_num(signal.measured)) or 1.0 for signal in signals]
-    middle = int(np.argmax(np.max([error / span for error, span in zip(errors, spans, strict=True)], axis=0)))
-    start = int(np.clip(middle - WINDOW // 2, 0, time - WINDOW))
+    span = np.ptp(np.nan_to_num(signals.measured), axis=0)
+    errors = np.nan_to_num(np.abs(signals.measured - signals.curves[0].values)) / np.where(span, span, 1.0)
+    start = int(np.clip(int(np.argmax(errors.max(1))) - WINDOW // 2, 0, time - WINDOW))
     return start, start + WINDOW
 
 
-def worst(discovery: Discovery, arrays: Arrays, sequence: int) -> tuple[int | None, list[Sequence[Number]]]:
+def worst(discovery: Discovery, arrays: Arrays) -> tuple[int | None, list[Sequence[Number]]]:
     """The state equation with the largest share of the error among those with a correction; and when it is wrong."""
     rows: list[Mapping[str, Any]] = list(discovery.get("disagreement") or ())
-    rows.sort(key=lambda row: -np.nan_to_num(real(row.get("share_of_error"))))
+    rows.sort(key=lambda row: -(row.get("share_of_error") or 0.0))
     names = [str(state["name"]) for state in discovery.get("states") or ()]
-    correction = np.asarray(arrays.get("correction", np.full((len(names), sequence + 1, 1), np.nan)), np.float64)
-    kept = {k: correction[k, sequence][np.isfinite(correction[k, sequence])] for k in range(len(names))}
-    size = {k: float(np.sqrt(np.mean(values**2))) for k, values in kept.items() if len(values)}
-    listed = (names.index(row["equation"]) for row in rows if row.get("equation") in names)
+    correction = np.asarray(arrays.get("correction", np.zeros((0, 1, 1))), np.float64)[:, 0]
+    size = {k: np.nanmean(values**2) for k, values in enumerate(correction) if np.isfinite(values).any()}
+    listed = (names.index(row["equation"]) for row in rows if row["equation"] in names)
     state = next((k for k in listed if k in size), max(size, key=size.__getitem__, default=None))
-    own = [row for row in rows if state is not None and row.get("equation") == names[state]] or rows[:1]
-    drawn = [row for row in own if row.get("sequence", 1) == sequence + 1]
-    return state, [span for row in drawn for span in row.get("intervals_s") or ()]
+    own = [row for row in rows if state is not None and row["equation"] == names[state]] or rows[:1]
+    return state, [span for row in own if row.get("sequence", 1) == 1 for span in row.get("intervals_s") or ()]
 
 
 def rate(unit: str) -> str:
@@ -90,13 +84,8 @@ def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, 
     label = style.label("correction", rate(str(state.get("unit") or "")))
     style.quiet(ax, title=style.plain(title), x="time (s)", y=label)
     band = 2 * np.where(np.isfinite(std), std, 0.0)
-    (places, middle), (_, low), (_, high) = (thinned(t, mean), thinned(t, mean - band), thinned(t, mean + band))
-    if len(low) == len(high) == len(middle) == len(t):
-        ax.fill_between(t, low, high, color=style.GREEN, alpha=0.22, linewidth=0)
-    else:
-        for edge in (mean - band, mean + band):
-            ax.plot(*thinned(t, edge), color=style.GREEN, linewidth=0.6, alpha=0.4)
-    ax.plot(places, middle, color=style.GREEN, linewidth=1.3, marker="." if len(t) <= 60 else "", gid="correction")
+    ax.fill_between(t, mean - band, mean + band, color=style.GREEN, alpha=0.22, linewidth=0)
+    ax.plot(t, mean, color=style.GREEN, linewidth=1.3, marker="." if len(t) <= 60 else "", gid="correction")
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
     finite = np.isfinite(mean)
     reach = float(np.median(band[finite]))
@@ -141,16 +130,14 @@ def draw_certain(ax: Axes, arrays: Arrays) -> None:
 def draw_region(ax: Axes, arrays: Arrays, region: Mapping[str, Sequence[Number | None]]) -> None:
     """The outline of a region that names one or both signals of the map; an open bound ends at the edge of the map."""
     names = [str(arrays[name]) for name in ("map_a", "map_b")]
-    if not set(names) & set(region) or set(region) - set(names):
+    if not region or set(region) - set(names):
         return
-    corners = []
+    spans = []
     for name, edges in zip(names, (arrays["map_x_edges"], arrays["map_u_edges"]), strict=True):
-        low, high = (real(bound) for bound in region.get(name) or (None, None))
-        ends = float(edges[0]), float(edges[-1])
-        corners.append(
-            [float(np.clip(v, *ends)) if np.isfinite(v) else end for v, end in zip((low, high), ends, strict=True)]
-        )
-    (left, right), (bottom, top) = corners
+        ends = edges[[0, -1]].astype(float)
+        bounds = np.array(region.get(name) or (None, None), float)
+        spans.append(np.where(np.isfinite(bounds), np.clip(bounds, *ends), ends))
+    (left, right), (bottom, top) = spans
     box = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=style.INK, linewidth=1.8)
     box.set(gid="region", clip_on=False, zorder=4)
     ax.add_patch(box)

@@ -1,7 +1,6 @@
 """Trained members as a result that simulates, scores, plots, saves and shows itself."""
 
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,17 +9,23 @@ import pandas as pd
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Array, Record, RecordInfo
+from pgrssnn_jax.reports.markup import html, tag
 from pgrssnn_jax.reports.prediction import compared, prediction_figure
-from pgrssnn_jax.reports.run_files import save_ensemble
+from pgrssnn_jax.reports.tables import member_table
+from pgrssnn_jax.reports.write import write_report, yaml_text
 from pgrssnn_jax.training import evaluation
+from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.evaluation import Trained
-from pgrssnn_jax.training.loop import Losses
+from pgrssnn_jax.training.loop import Losses, losses_table
 from pgrssnn_jax.training.members import select
 from pgrssnn_jax.training.plan import Plan, member_tests
-from pgrssnn_jax.training.settings import TrainingSettings
+from pgrssnn_jax.training.run_folder import RunFolder
+from pgrssnn_jax.training.run_lock import locked
+from pgrssnn_jax.training.settings import TrainingSettings, settings_to_config
 
 
 class Evaluated(NamedTuple):
@@ -175,7 +180,30 @@ class Ensemble:
         """Writes a run folder (`docs/runs.md`): parameters, physics, settings, history and a page; with figures on the
         test record that is given or was scored last. `pg.load` reads it. Raises `ValueError` where it cannot write."""
         found = self._evaluated if test is None else self.evaluate(test)
-        save_ensemble(Path(folder), self, found)
+        run, data, physics = RunFolder(Path(folder)), {"train": f"{self.info.source}: {self.info.origin}"}, self.physics
+        with locked(run.path):
+            run.begin(self._config_text(), command="pg.fit", data=data, physics=physics_to_json(physics))
+            checkpoints = CheckpointFolder(run.checkpoint)
+            checkpoints.clear()
+            checkpoints.save(Checkpoint(self.trained.state, self.trained.scaling, self.trained.units, self.losses))
+            checkpoints.close()
+            self.finish(run, found)
+
+    def _config_text(self) -> str:
+        """The configuration of a run of the API, in the form that the commands write."""
+        config: dict[str, Any] = settings_to_config(self.settings)
+        shared = {"name": self.info.benchmark or "record", "shared_initial_state": self.info.start == "shared"}
+        physics = {**physics_to_json(self.physics)["physics"], "effects": None}
+        return yaml_text({"physics": physics, **config, "data": {**shared, **config["data"]}, "resume": None})
+
+    def finish(self, run: RunFolder, found: Evaluated | None) -> None:
+        """History, predictions, figures of merit and page; without a test record only the history. DONE comes last."""
+        run.write_csv("history.csv", losses_table(self.losses, self.trained.members))
+        run.write_arrays("predictions.npz", {"x0_train": self.trained.start} if found is None else found.arrays)
+        if found is not None:
+            run.write_json("metrics.json", found.metrics)
+            write_report(run)
+        run.finish()
 
     def __repr__(self) -> str:
         failed = sum(evaluation.has_failed(int(outcome)) for outcome in self.trained.state.outcome)
@@ -183,10 +211,4 @@ class Ensemble:
         return f"{what}: {count} members, {count - failed} finished, {failed} failed"
 
     def _repr_html_(self) -> str:
-        table = "" if self._evaluated is None else _table(self._evaluated.metrics)
-        return f"<b>{escape(repr(self))}</b>{table}"
-
-
-def _table(metrics: Mapping[str, Any]) -> str:
-    rows = [{"seed": m["seed"], "status": m["status"], **(m["test"] or {})} for m in metrics["members"]]
-    return pd.DataFrame(rows).to_html(index=False, float_format="{:.4g}".format)
+        return html((tag("b", repr(self)), member_table(self._evaluated.metrics).html() if self._evaluated else ""))

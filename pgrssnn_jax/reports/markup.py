@@ -5,16 +5,14 @@ A page is one file that loads nothing: images are embedded, and its policy forbi
 
 import base64
 import json
-import struct
 from collections.abc import Iterable, Mapping
 from html import escape
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from pgrssnn_jax.reports.content import Content, Exact
-from pgrssnn_jax.reports.stylesheet import STYLESHEET
-
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+STYLESHEET = resources.files("pgrssnn_jax.reports").joinpath("page.css").read_text(encoding="utf-8")
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -24,15 +22,15 @@ class Markup(str):
     __slots__ = ()
 
 
+Content = str | tuple[Any, ...]
+"""Text, HTML, or a sequence of such pieces."""
+
+
 def html(content: Content) -> Markup:
-    """Content as HTML: text is escaped, a number stands in a `<data>` element that holds its exact value."""
+    """Content as HTML: text is escaped."""
     if isinstance(content, Markup):
         return content
-    if isinstance(content, str):
-        return Markup(escape(content))
-    if isinstance(content, Exact):
-        return Markup(f'<data value="{content.value!r}">{escape(content.text)}</data>')
-    return Markup("".join(map(html, content)))
+    return Markup(escape(content) if isinstance(content, str) else "".join(map(html, content)))
 
 
 def tag(name: str, *content: Content, look: str = "", **attributes: str) -> Markup:
@@ -55,11 +53,6 @@ def card(name: str, value: Content, note: str) -> Markup:
     return tag("div", tag("dt", name), tag("dd", value, tag("small", note)), look="card")
 
 
-def unit_of(text: Content) -> Content:
-    """A unit, or a deviation, behind the large number of a card."""
-    return (" ", tag("span", text, look="unit")) if text else ""
-
-
 def folded(title: str, content: Content) -> Markup:
     """Content behind a heading that opens it; text is preformatted."""
     return tag("details", tag("summary", title), content if isinstance(content, Markup) else tag("pre", content))
@@ -68,11 +61,10 @@ def folded(title: str, content: Content) -> Markup:
 def image(path: Path, alt: str) -> Markup:
     """A PNG file as an element that holds the file itself."""
     raw = path.read_bytes() if path.is_file() else b""
-    if not raw.startswith(PNG_SIGNATURE) or len(raw) < 24:
+    if not raw.startswith(PNG_SIGNATURE):
         raise ValueError(f"report: figures: expected a PNG file, found {path}")
-    width, height = struct.unpack(">II", raw[16:24])
     source = f"data:image/png;base64,{base64.b64encode(raw).decode('ascii')}"
-    return Markup(f'<img alt="{escape(alt)}" width="{width}" height="{height}" src="{source}">')
+    return Markup(f'<img alt="{escape(alt)}" src="{source}">')
 
 
 def figure(picture: Markup, title: str, caption: str, **attributes: str) -> Markup:
@@ -103,20 +95,20 @@ def document(
     kind: str,
     title: str,
     heading: str,
-    lead: str,
     facts: Iterable[str],
     banners: Iterable[Markup],
     cards: Iterable[Markup],
     links: Mapping[str, str],
     sections: Iterable[Markup],
     footer: str,
+    lead: str = "",
     look: str = "",
 ) -> str:
     """A whole page. kind: what it reports on; links: anchor → text of the index; look: class of the page."""
-    eyebrow, words = tag("p", kind, look="eyebrow"), tag("p", lead, look="lead")
+    words, known = (tag("p", text, look=of) for text, of in ((lead, "lead"), (" · ".join(facts), "facts")))
     anchors = (tag("a", text, href=f"#{anchor}") for anchor, text in links.items())
     parts = [
-        tag("header", eyebrow, tag("h1", heading), words, tag("p", " · ".join(facts), look="facts")),
+        tag("header", tag("p", kind, look="eyebrow"), tag("h1", heading), words if lead else "", known),
         *banners,
         tag("dl", *cards, look="cards"),
         tag("nav", bullets(anchors), aria_label="Contents"),
@@ -130,7 +122,8 @@ def document(
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy" content="{POLICY}">
 {tag("title", title)}
-<style>{STYLESHEET}</style>
+<style>
+{STYLESHEET}</style>
 </head>
 <body>
 {tag("main", Markup(chr(10).join(parts)), look=look)}

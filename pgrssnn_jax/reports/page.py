@@ -1,18 +1,12 @@
 """The page of a run: one HTML file with everything inside."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pandas as pd
-
 from pgrssnn_jax.reports import content, markup, tables
-from pgrssnn_jax.reports.content import MISSING, Metrics, number, rounded
-from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag, unit_of
-
-SHOWN_MEMBERS = 20
+from pgrssnn_jax.reports.content import MISSING, Metrics, rounded
+from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag
 
 CAPTIONS = {
     "Prediction": "Free-run simulation of the test record. What the model explains lies on the measured line; what it"
@@ -25,7 +19,7 @@ CAPTIONS = {
     "Members": "Test error of every member, sorted. The ensemble is the error of the mean prediction, which can be"
     " lower than the error of any member.",
 }
-"""How the title of a figure begins, and what to look at."""
+"""What to look at, by the title of a figure."""
 MOVING = (
     "The same sequence in motion, over and over; the picture says how fast. The line that runs along the curve is the"
     " moment shown."
@@ -34,7 +28,6 @@ MOVING = (
 
 def run_html(
     metrics: Metrics,
-    history: pd.DataFrame,
     figures: Mapping[str, Path],
     *,
     config_text: str,
@@ -44,8 +37,7 @@ def run_html(
     """The HTML of the page.
 
     figures: title → PNG file, in the order of the page; animation: what `stick_animation` returned, taken over as it
-    is, to stand below the figure "Arm", or below all figures where there is none. Raises `ValueError` if a figure is
-    not a PNG file.
+    is, to stand below the figure "Arm". Raises `ValueError` if a figure is not a PNG file.
     """
     links = {f"figure-{k}": f"Figure {k}. {title}" for k, title in enumerate(figures, 1)}
     facts = [f"one sample every {metrics['dt']:g} s"]
@@ -54,28 +46,17 @@ def run_html(
         kind="Run report",
         title=content.heading(metrics),
         heading=content.heading(metrics),
-        lead=_lead(metrics),
         facts=[content.source(metrics), content.outputs(metrics), *facts],
         banners=_banners(metrics),
         cards=_cards(metrics),
         links=links | {"numbers": "Numbers", "members": "Members, one by one", "reproduce": "Reproduce"},
         sections=[
             *_figures(figures, animation),
-            *_numbers(metrics, history),
+            *_numbers(metrics),
             markup.reproduce(config_text, environment),
         ],
         footer="Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder.",
     )
-
-
-def _lead(metrics: Metrics) -> str:
-    head, summary, unit = content.headline(metrics), metrics["summary"], content.unit(metrics)
-    lead = f"{summary['finished']} of {summary['planned']} planned members finished"
-    if not math.isfinite(head.mean):
-        return f"{lead}; there is no figure of merit."
-    lead += f"; test {content.merit(metrics)} {content.plus_minus(head.mean, head.std, unit)} over members"
-    lead += f", {rounded(head.ensemble, unit)} for their ensemble"
-    return lead + (f"; NRMSE {rounded(head.nrmse)} over members." if len(metrics["outputs"]) > 1 else ".")
 
 
 def _banners(metrics: Metrics) -> list[Markup]:
@@ -95,65 +76,37 @@ def _banners(metrics: Metrics) -> list[Markup]:
 
 def _cards(metrics: Metrics) -> list[Markup]:
     head, summary, unit = content.headline(metrics), metrics["summary"], content.unit(metrics)
-    std = content.deviation(head.mean, head.std)
-    mean = number(head.mean), unit_of(("± ", std) if std else ""), unit_of(unit)
+    mean = content.plus_minus(head.mean, head.std, unit)
     finished, _ = content.ranked(content.member_rows(metrics))
     best = f"seed {finished[0].seed}, dataset {finished[0].dataset}" if finished else MISSING
     several = f"mean of {len(metrics['outputs'])} outputs; " if len(metrics["outputs"]) > 1 else ""
-    done = number(summary["finished"]), " / ", number(summary["planned"])
+    done = f"{summary['finished']} / {summary['planned']}"
     return [
-        card("RMSE, mean ± std", mean, f"median {rounded(head.median, unit)}"),
-        card("RMSE, best", (number(head.best), unit_of(unit)), best),
-        card("RMSE, ensemble", (number(head.ensemble), unit_of(unit)), "error of the mean prediction"),
-        card("NRMSE, mean", number(head.nrmse), f"{several}RMSE / std of the measured output"),
+        card(f"{content.merit(metrics)}, mean ± std", mean, f"median {rounded(head.median, unit)}"),
+        card("RMSE, best", rounded(head.best, unit), best),
+        card("RMSE, ensemble", rounded(head.ensemble, unit), "error of the mean prediction"),
+        card("NRMSE, mean", rounded(head.nrmse), f"{several}RMSE / std of the measured output"),
         card("members finished", done, f"{summary['failed']} failed"),
         card("time", *content.spent(metrics["seconds"])),
     ]
 
 
 def _figures(figures: Mapping[str, Path], animation: str) -> list[Markup]:
-    blocks = [tag("h2", "Figures")] if figures or animation else []
-    moving = [markup.figure(Markup(animation), "The arm in motion", MOVING, look="moving")] if animation else []
+    blocks = [tag("h2", "Figures")] if figures else []
     for k, (title, path) in enumerate(figures.items(), 1):
-        caption = next((text for name, text in CAPTIONS.items() if title.startswith(name)), "")
-        blocks.append(markup.numbered_figure(k, path, title, caption))
-        if title.startswith("Arm"):
-            blocks, moving = blocks + moving, []
-    return blocks + moving
+        blocks.append(markup.numbered_figure(k, path, title, CAPTIONS.get(title, "")))
+        if title == "Arm" and animation:
+            blocks.append(markup.figure(Markup(animation), "The arm in motion", MOVING, look="moving"))
+    return blocks
 
 
-def _numbers(metrics: Metrics, history: pd.DataFrame) -> list[Markup]:
+def _numbers(metrics: Metrics) -> list[Markup]:
     several = len(metrics["outputs"]) > 1
-    note = "Figures of one member are means over the outputs. " if several else ""
-    note += "n_init: first samples of every sequence that do not count; the row of this run is bold."
-    note += f" Members: {content.counts(metrics)}. {_training(history)}"
-    title, outputs = tag("h3", f"Output by output: {tables.OUTPUT_TITLE}"), tables.output_table(metrics).html()
-    members = tables.member_table(metrics, SHOWN_MEMBERS, numbered=False)
-    count = len(metrics["members"])
-    every = tables.member_table(metrics, max(count, 1), numbered=False)
+    note = "n_init: first samples of every sequence that do not count; the row of this run is bold."
     return [
         tag("h2", "Numbers", id="numbers"),
-        tag("h3", f"All members: {tables.summary_title(metrics)}"),
         tables.summary_table(metrics).html(),
         tag("p", note, look="note"),
-        *([title, outputs] if several else []),
-        tag("h3", f"One by one: {tables.member_title(metrics)}", id="members"),
-        members.html(),
-        *([markup.folded(f"All {count} members", every.html())] if count > SHOWN_MEMBERS else []),
+        *([tables.output_table(metrics).html()] if several else []),
+        tag("section", tables.member_table(metrics).html(), id="members"),
     ]
-
-
-def _training(history: pd.DataFrame) -> str:
-    """How long was trained and how low the validation loss came."""
-    if history.empty:
-        return "No training epoch was recorded."
-    longest = f"Trained for {history['epoch'].to_numpy().max()} epochs at most"
-    loss = history["validation_loss"].to_numpy().astype(float)
-    if not np.isfinite(loss).any():
-        return f"{longest}, never validated."
-    lowest = int(np.argmin(np.where(np.isfinite(loss), loss, np.inf)))
-    epoch, seed, dataset = (history[name].to_numpy()[lowest] for name in ("epoch", "seed", "dataset"))
-    return (
-        f"{longest}; lowest validation loss {rounded(float(loss[lowest]))} (mean squared scaled error)"
-        f" at epoch {epoch} of seed {seed}, dataset {dataset}."
-    )

@@ -1,7 +1,6 @@
 """Signals and their panels: an output measured and predicted, and what is left over."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,11 +10,10 @@ from matplotlib.figure import Figure
 from pgrssnn_jax.reports import style
 
 READABLE, WINDOW = 1500, 300  # samples that one panel can show, and of a longer record
-ENVELOPE_BINS, THINNED_BINS = 700, 1500
 
 
 class Curve(NamedTuple):
-    """A prediction of one output `[time]`, with the colours of its line and of what it leaves over."""
+    """A prediction `[time, y]`, with the colours of its line and of what it leaves over."""
 
     name: str
     values: np.ndarray
@@ -23,58 +21,34 @@ class Curve(NamedTuple):
     left_over: str
 
 
-class Signal(NamedTuple):
-    """One output of one sequence in float64, NaN where there is nothing: members `[member, time]`, others `[time]`.
+class Signals(NamedTuple):
+    """One sequence: time `[time]` (s), measured `[time, y]`, NaN where nothing was; outputs: `name` and `unit` of each;
+    members `[member, time, y]` and their std `[time, y]` around the first curve."""
 
-    std: of the members around the first curve.
-    """
-
-    name: str
-    unit: str
+    outputs: Sequence[Mapping[str, Any]]
     time: np.ndarray
     measured: np.ndarray
     curves: Sequence[Curve]
     members: np.ndarray
     std: np.ndarray
 
-    def cut(self, start: int, stop: int) -> "Signal":
+    def cut(self, start: int, stop: int) -> "Signals":
         curves = [curve._replace(values=curve.values[start:stop]) for curve in self.curves]
-        arrays = {name: getattr(self, name)[..., start:stop] for name in ("time", "measured", "members", "std")}
-        return self._replace(curves=curves, **arrays)
+        members, std = self.members[:, start:stop], self.std[start:stop]
+        return Signals(self.outputs, self.time[start:stop], self.measured[start:stop], curves, members, std)
+
+    def label(self, k: int, name: str = "") -> str:
+        return style.label(name or str(self.outputs[k]["name"]), str(self.outputs[k].get("unit") or ""))
 
     @property
     def marker(self) -> str:
         return "." if len(self.time) <= 60 else ""
 
 
-def signals_of(
-    outputs: Sequence[Mapping[str, Any]],
-    time: np.ndarray,
-    measured: np.ndarray,
-    predicted: Mapping[str, tuple[np.ndarray, str, str]],
-    members: np.ndarray | None = None,
-    std: np.ndarray | None = None,
-) -> list[Signal]:
-    """Arrays `[..., time, y]` output by output. predicted: name → values, colour, colour of the residual."""
-
-    def column(values: np.ndarray, k: int) -> np.ndarray:
-        values = np.asarray(values[..., k], np.float64)
-        return np.where(np.isfinite(values), values, np.nan)
-
-    nothing = np.zeros((0, *measured.shape))
-    members, std = nothing if members is None else members, np.zeros(measured.shape) if std is None else std
-    return [
-        Signal(
-            str(output["name"]),
-            str(output.get("unit") or ""),
-            np.asarray(time, np.float64),
-            column(measured, k),
-            [Curve(name, column(values, k), *colours) for name, (values, *colours) in predicted.items()],
-            column(members, k),
-            column(std, k),
-        )
-        for k, output in enumerate(outputs)
-    ]
+def finite(values: np.ndarray) -> np.ndarray:
+    """In float64, NaN for what is not finite."""
+    values = np.asarray(values, np.float64)
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def pair_axes(figure: Figure, count: int, ratios: Sequence[float]) -> list[list[Axes]]:
@@ -95,78 +69,69 @@ def pair_axes(figure: Figure, count: int, ratios: Sequence[float]) -> list[list[
     return found
 
 
-def extent(start: int, stop: int, time: int) -> str:
+def extent(start: int, stop: int, time: int, sequences: int) -> str:
     """The samples shown, in words."""
+    samples = f"samples {start} to {stop - 1} of {time}"
     if (start, stop) == (0, time):
-        return "one sample" if time == 1 else f"all {time} samples"
-    return f"samples {start} to {stop - 1} of {time}"
+        samples = "one sample" if time == 1 else f"all {time} samples"
+    return samples + (f", sequence 1 of {sequences}" if sequences > 1 else "")
 
 
-def which(sequence: int, count: int) -> str:
-    return f", sequence {sequence + 1} of {count}" if count > 1 else ""
-
-
-def draw_signal(ax: Axes, signal: Signal, title: str = "") -> None:
-    """The measured output below the predicted ones; of one that runs away only the near part shows."""
-    style.quiet(ax, title=style.plain(title), y=style.label(signal.name, signal.unit)).tick_params(labelbottom=False)
-    band = _draw_members(ax, signal, np.zeros(len(signal.time)), 1.0)
-    look = {"color": style.TRUTH, "linewidth": 2.6, "marker": signal.marker, "markersize": 9, "gid": "measured"}
-    ax.plot(signal.time, signal.measured, zorder=1.9, **look)
-    for curve in signal.curves:
-        look = {"color": curve.colour, "linewidth": 1.3, "marker": signal.marker, "gid": curve.name}
-        ax.plot(signal.time, curve.values, zorder=2.6, **look)
-    limit(ax, signal.measured, np.concatenate([signal.members.ravel(), *band, *(c.values for c in signal.curves)]))
+def draw_signal(ax: Axes, signals: Signals, k: int) -> None:
+    """Output `k` as measured, below the predicted ones; of one that runs away only the near part shows."""
+    style.quiet(ax, y=signals.label(k)).tick_params(labelbottom=False)
+    t, measured, members = signals.time, signals.measured[:, k], signals.members[..., k]
+    band = _draw_members(ax, signals, k, np.zeros(len(t)), 1.0)
+    look = {"color": style.TRUTH, "linewidth": 2.6, "marker": signals.marker, "markersize": 9, "gid": "measured"}
+    ax.plot(t, measured, zorder=1.9, **look)
+    for curve in signals.curves:
+        look = {"color": curve.colour, "linewidth": 1.3, "marker": signals.marker, "gid": curve.name}
+        ax.plot(t, curve.values[:, k], zorder=2.6, **look)
+    limit(ax, measured, np.concatenate([members.ravel(), *band, *(c.values[:, k] for c in signals.curves)]))
     ax.margins(x=0.01)
 
 
-def draw_residuals(ax: Axes, signal: Signal, *, x: str = "time (s)") -> None:
+def draw_residuals(ax: Axes, signals: Signals, k: int, *, x: str = "time (s)") -> None:
     """Measured minus predicted, one line per curve, the later ones on top."""
-    style.quiet(ax, x=x, y=style.label("residual", signal.unit))
-    _draw_members(ax, signal, signal.measured, -1.0)
+    style.quiet(ax, x=x, y=signals.label(k, "residual"))
+    measured = signals.measured[:, k]
+    _draw_members(ax, signals, k, measured, -1.0)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    left = [(curve, signal.measured - curve.values) for curve in signal.curves]
+    left = [(curve, measured - curve.values[:, k]) for curve in signals.curves]
     left = [(curve, residual) for curve, residual in left if np.isfinite(residual).any()]
     for curve, residual in left:
-        look = {"color": curve.left_over, "linewidth": 1.0, "marker": signal.marker, "gid": curve.name}
-        ax.plot(*thinned(signal.time, residual), **look)
+        look = {"color": curve.left_over, "linewidth": 1.0, "marker": signals.marker, "gid": curve.name}
+        ax.plot(signals.time, residual, **look)
     ax.margins(x=0.01)
     if not left:
         ax.set_yticks([])
         style.note(ax, "no residual to show: nothing was measured or predicted here")
         return
-    span = np.ptp(signal.measured[np.isfinite(signal.measured)]) or 1.0
+    span = np.ptp(measured[np.isfinite(measured)]) or 1.0
     limit(ax, np.array([-span / 2, span / 2]), np.concatenate([residual for _, residual in left]))
 
 
-def _draw_members(ax: Axes, signal: Signal, base: np.ndarray, sign: float) -> list[np.ndarray]:
+def _draw_members(ax: Axes, signals: Signals, k: int, base: np.ndarray, sign: float) -> list[np.ndarray]:
     """The members and their spread, less `base`; returns the ends of the spread."""
-    if not len(signal.members):
+    members, std = signals.members[..., k], signals.std[:, k]
+    if not len(members):
         return []
-    faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(signal.members), 0.06, 0.45))}
-    for member in signal.members:
-        ax.plot(signal.time, sign * (member - base), **faint)
-    middle = sign * (signal.curves[0].values - base)
-    band = [middle - signal.std, middle + signal.std]
-    ax.fill_between(signal.time, band[0], band[1], color=style.SKY, alpha=0.30, linewidth=0)
-    return band
+    faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(members), 0.06, 0.45))}
+    ax.plot(signals.time, sign * (members - base).T, **faint)
+    middle = sign * (signals.curves[0].values[:, k] - base)
+    ax.fill_between(signals.time, middle - std, middle + std, color=style.SKY, alpha=0.30, linewidth=0)
+    return [middle - std, middle + std]
 
 
-def draw_overview(ax: Axes, signal: Signal, start: int, stop: int) -> None:
-    """The residual of the first curve over the whole sequence as its least and greatest value per bin."""
+def draw_overview(ax: Axes, signals: Signals, k: int, stop: int) -> None:
+    """The residual of the first curve over the whole sequence; the first `stop` samples are those of the window."""
+    style.quiet(ax, x="time (s)", y=signals.label(k, "residual"))
     title = "residual of the whole sequence; shaded: the window above"
-    style.quiet(ax, x="time (s)", y=style.label("residual", signal.unit))
     ax.set_title(title, loc="left", fontsize=8, color=style.QUIET, pad=3)
-    residual = signal.measured - signal.curves[0].values
-    edges = np.unique(np.linspace(0, len(residual), ENVELOPE_BINS + 1).astype(int))
-    filled = np.isfinite(residual)
-    low = np.minimum.reduceat(np.where(filled, residual, np.inf), edges[:-1])
-    high = np.maximum.reduceat(np.where(filled, residual, -np.inf), edges[:-1])
-    low, high = (np.where(np.isfinite(a), a, np.nan) for a in (low, high))
-    look = {"color": style.VERMILLION, "alpha": 0.75, "linewidth": 0.4}
-    ax.fill_between(signal.time[edges[:-1]], low, high, step="post", **look)
+    look = {"color": style.VERMILLION, "alpha": 0.75, "linewidth": 0.5}
+    ax.plot(signals.time, (signals.measured - signals.curves[0].values)[:, k], **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    ends = signal.time[start], signal.time[stop - 1] + np.diff(signal.time[:2]).sum()
-    ax.axvspan(*ends, color=style.YELLOW, alpha=0.30, linewidth=0)
+    ax.axvspan(signals.time[0], signals.time[stop], color=style.YELLOW, alpha=0.30, linewidth=0)
     ax.margins(x=0.01)
 
 
@@ -183,16 +148,3 @@ def limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:
         box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
         place = {"transform": ax.transAxes, "ha": "right", "va": "top"}
         ax.text(0.995, 0.97, "predictions leave the axis", fontsize=8, color=style.VERMILLION, bbox=box, **place)
-
-
-def thinned(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A long signal as the least and the greatest value of each of 1500 bins, in order; a short one whole."""
-    if len(values) <= 2 * THINNED_BINS:
-        return t, values
-    edges = np.linspace(0, len(values), THINNED_BINS + 1).astype(int)
-    picked = []
-    for start, stop in pairwise(edges):
-        part = values[start:stop]
-        found = {int(np.nanargmin(part)), int(np.nanargmax(part))} if np.isfinite(part).any() else {0}
-        picked += [start + place for place in sorted(found)]
-    return t[picked], values[picked]

@@ -1,10 +1,14 @@
-"""The stick figure of an arm: its pose at moments of a test sequence, measured against predicted, and the tip's error.
+"""The stick figure of an arm, measured against predicted: at moments of the first test sequence, and in motion.
 
-The animation draws the same `Poses` on the same `Stage`.
+The motion is inline SVG without script, for a page that may load and run nothing: a picture of what stands still, and
+lines above it whose `animate` elements (SMIL) hold the values of one attribute at the frames.
 """
 
+import base64
+import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -12,95 +16,172 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports import content, style
-from pgrssnn_jax.reports.content import MISSING, Metrics
-from pgrssnn_jax.reports.poses import BASE, Poses, Stage, floor_edge, floor_lines, project, read_poses, set_stage
+from pgrssnn_jax.reports.content import Metrics
+from pgrssnn_jax.reports.markup import Content, Markup, tag
+from pgrssnn_jax.reports.poses import Poses, Stage, circle, floor_lines, project, read_poses, set_stage
 
 FLOOR, SHADOW = "#f3f4f6", "#dcdfe3"
-COLUMNS = 4
+SHOTS, COLUMNS = 8, 4
+FRAMES, SECONDS = 120, 10.0
+LOOKS = {"measured": (style.TRUTH, 4.6, 6.4), "predicted": (style.BLUE, 1.6, 3.2)}  # colour, line, joints
+ROUND: dict[str, Any] = {"solid_capstyle": "round", "solid_joinstyle": "round"}
+ON_FLOOR = (1.0, 1.0, 0.0)
 
 
-def stick_figure(
-    predictions: Mapping[str, np.ndarray], metrics: Metrics, *, sequence: int = 0, shots: int = 8
-) -> Figure:
-    """Up to `shots` poses at evenly spaced times of test sequence `sequence`, all to one scale, and the tip's error.
-
-    predictions: `skeleton_measured` and `skeleton_predicted` `[seq, time, point, 3]` in metres, points from the base to
-    the tip, z up. Raises `ValueError` where these do not fit.
-    """
-    if shots < 1:
-        raise ValueError(f"stick_figure: shots: expected at least 1, found {shots}")
-    poses = read_poses(predictions, sequence)
-    time, stage = len(poses.measured), set_stage(poses)
-    shown = evenly(time, shots)
+def stick_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Figure:
+    """Up to 8 poses at evenly spaced times, all to one scale, and the tip's error. `predictions`: as `read_poses`."""
+    poses = read_poses(predictions)
+    stage, shown = set_stage(poses), _evenly(len(poses.measured), SHOTS)
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
     width, height = stage.high - stage.low
-    cell = float(np.clip(10.6 / columns * height / width, 1.2, 3.4))
-
-    n_seq = len(predictions["skeleton_measured"])
-    of_which = f"sequence {sequence + 1} of {n_seq} · " if n_seq > 1 else ""
-    lines = [f"{tip_result(poses, metrics)} · n_init {metrics['n_init']}", f"{of_which}{content.source(metrics)}"]
-    figure = style.page(rows * (cell + 0.3) + 1.9, metrics, lines)
-    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[cell + 0.3] * rows, 1.9])
+    cell = float(np.clip(10.6 / columns * height / width, 1.2, 3.4)) + 0.3
+    figure = style.page(rows * cell + 1.9, metrics, _lines(poses, predictions, metrics))
+    grid = figure.add_gridspec(rows + 1, columns, height_ratios=[*[cell] * rows, 1.9])
     for k, sample in enumerate(shown):
         ax = figure.add_subplot(grid[k // columns, k % columns])
-        _draw_shot(ax, poses, stage, int(sample), f"{k + 1} · {metrics['dt'] * sample:.4g} s")
+        off = float(poses.tip_distance[sample])
+        title = f"tip {distance_text(off)} off" if math.isfinite(off) else "no prediction"
+        title = f"{k + 1} · {metrics['dt'] * sample:.4g} s · {title}"
+        ax.set_title(title, loc="left", fontsize=9, color=style.INK, pad=3)
+        _draw_stage(ax, stage)
+        _draw_arms(ax, poses, int(sample))
     _draw_scale(figure.axes[0], stage)
-    _draw_distance(figure.add_subplot(grid[rows, :]), poses, metrics, shown)
+    ax = figure.add_subplot(grid[rows, :])
+    _draw_distance(ax, poses, metrics)
+    for k, sample in enumerate(shown, 1):
+        ax.axvline(metrics["dt"] * sample, color=style.QUIET, linewidth=0.8, alpha=0.6, zorder=1.5)
+        place = {"textcoords": "offset points", "xycoords": ax.get_xaxis_transform(), "ha": "center"}
+        ax.annotate(str(k), (metrics["dt"] * sample, 1.0), (0, 2), fontsize=8.5, color=style.INK, **place)
+    times, distances = metrics["dt"] * shown, poses.tip_distance[shown]
+    ax.plot(times, distances, "o", color=style.VERMILLION, markersize=4.5, zorder=3, gid="shots")
     style.legend(figure, _handles())
     return figure
 
 
-def evenly(time: int, most: int) -> np.ndarray:
+def stick_animation(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Markup:
+    """The sequence over about ten seconds, again and again: an `svg` element. `predictions`: as `read_poses`.
+
+    Where a pose is missing its arm is not seen. A mark runs along the distance between the tips.
+    """
+    poses = read_poses(predictions)
+    time, stage = len(poses.measured), set_stage(poses)
+    seconds = metrics["dt"] * (time - 1)
+    speed = float(f"{seconds / SECONDS:.1g}") or 1.0
+    pace = "real time" if speed == 1 else f"{speed:g} times real time"
+    result, source = _lines(poses, predictions, metrics)
+    figure = style.page(5.4, metrics, [result, f"{pace} · {source}"])
+    arm, curve = figure.subplots(2, 1, height_ratios=[4.0, 1.0])
+    _draw_stage(arm, stage)
+    _draw_scale(arm, stage)
+    for name, points in poses._asdict().items():
+        arm.plot(*project(points[:, -1]).T, color=LOOKS[name][0], linewidth=0.8, alpha=0.4)
+    _draw_distance(curve, poses, metrics)
+    style.legend(figure, _handles())
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=figure.dpi)
+    width, height = figure.get_size_inches() * figure.dpi
+    shown = _evenly(time, FRAMES)
+
+    def places(ax: Axes, points: np.ndarray) -> np.ndarray:
+        """Data `[frame, point, 2]` in pixels of the picture, downwards; what runs away stays near its edge."""
+        pixels = ax.transData.transform(points.reshape(-1, 2)).reshape(points.shape)
+        return np.clip(np.array([0.0, height]) + pixels * (1, -1), -width, 2 * width)
+
+    clock = {"dur": f"{seconds / speed:.4g}s", "repeatCount": "indefinite"}
+    arms = [("measured", SHADOW, 2.6, 0.0, ON_FLOOR), *((name, *look, 1.0) for name, look in LOOKS.items())]
+    lines = [(places(arm, project(getattr(poses, name)[shown] * lift)), *look) for name, *look, lift in arms]
+    now = np.stack(np.broadcast_arrays(metrics["dt"] * shown[:, None], curve.get_ylim()), -1)
+    lines.append((places(curve, now), style.INK, 1.0, 0.0))
+    data = base64.b64encode(picture.getvalue()).decode("ascii")
+    return tag(
+        "svg",
+        tag("title", f"{content.heading(metrics)}: the arm, measured and predicted"),
+        tag("desc", f"Stick figure of the arm from the side, {pace}. {result}; {source}."),
+        tag("image", href=f"data:image/png;base64,{data}", width=f"{width:g}", height=f"{height:g}"),
+        *(_moving(points, colour, figure.dpi / 72 * np.array(wide), clock) for points, colour, *wide in lines),
+        viewBox=f"0 0 {width:g} {height:g}",
+        role="img",
+        fill="none",
+        stroke_linecap="round",
+        stroke_linejoin="round",
+    )
+
+
+def _moving(places: np.ndarray, colour: str, wide: np.ndarray, clock: Mapping[str, str]) -> Content:
+    """A line `[frame, point, 2]` with dots on it, `wide` pixels each; a missing pose holds the last one, unseen."""
+    known = np.atleast_1d(np.isfinite(places).all((1, 2)))
+    if not known.any():
+        return ""
+    held = places[np.maximum.accumulate(np.where(known, np.arange(len(known)), np.argmax(known)))].round(1).tolist()
+
+    def animate(attribute: str, values: Sequence[str], mode: str = "") -> Content:
+        steps = {"attributeName": attribute, "values": ";".join(values), "calcMode": mode, **clock}
+        return tag("animate", **steps) if len(set(values)) > 1 else ""
+
+    line = [" ".join(f"{x:g},{y:g}" for x, y in pose) for pose in held]
+    # A line of no length with round ends is a dot: one element moves all joints.
+    dots = ["".join(f"M{x:g} {y:g}h0" for x, y in pose) for pose in held]
+    seen = ["1" if one else "0" for one in known]
+    return tag(
+        "g",
+        animate("opacity", seen, "discrete"),
+        tag("polyline", animate("points", line), points=line[0], stroke_width=f"{wide[0]:.3g}"),
+        tag("path", animate("d", dots), d=dots[0], stroke_width=f"{wide[1]:.3g}"),
+        stroke=colour,
+        opacity=seen[0],
+    )
+
+
+def _lines(poses: Poses, predictions: Mapping[str, np.ndarray], metrics: Metrics) -> tuple[str, str]:
+    """The tip's error over the samples that count, and where the poses are from."""
+    counted = poses.tip_distance.copy()
+    counted[: metrics["n_init"]] = np.nan
+    known = counted[np.isfinite(counted)]
+    result = "tip of the arm: no prediction to compare with the measurement"
+    if len(known):
+        middle, root, worst = np.median(known), np.sqrt(np.mean(known**2)), known.max()
+        found = f"median {distance_text(middle)}, RMS {distance_text(root)}, most {distance_text(worst)}"
+        when = f"{metrics['dt'] * int(np.nanargmax(counted)):.4g} s"
+        samples = "1 sample" if len(known) == 1 else f"{len(known)} samples"
+        result = f"tip of the arm, measured to predicted: {found} at {when} · {samples}"
+    sequences = len(predictions["skeleton_measured"])
+    of_which = f"sequence 1 of {sequences} · " if sequences > 1 else ""
+    return f"{result} · n_init {metrics['n_init']}", f"{of_which}{content.source(metrics)}"
+
+
+def _evenly(time: int, most: int) -> np.ndarray:
     """At most so many samples, from the first to the last."""
     return np.unique(np.linspace(0, time - 1, min(most, time)).round().astype(int))
 
 
-def tip_result(poses: Poses, metrics: Metrics) -> str:
-    """The tip's error over the samples that count, in one phrase."""
-    distance = poses.tip_distance
-    counted = np.where(np.arange(len(distance)) >= metrics["n_init"], distance, np.nan)
-    known = counted[np.isfinite(counted)]
-    if not len(known):
-        return "tip of the arm: no prediction to compare with the measurement"
-    middle, root, worst = float(np.median(known)), float(np.sqrt(np.mean(known**2))), float(known.max())
-    when = metrics["dt"] * int(np.nanargmax(counted))
-    samples = "1 sample" if len(known) == 1 else f"{len(known)} samples"
-    found = f"median {distance_text(middle)}, RMS {distance_text(root)}, most {distance_text(worst)} at {when:.4g} s"
-    return f"tip of the arm, measured to predicted: {found} · {samples}"
-
-
 def distance_text(metres: float) -> str:
     """Three digits, in millimetres below one metre."""
-    if not math.isfinite(metres):
-        return MISSING
     return f"{1000 * metres:.3g} mm" if metres < 0.9995 else f"{metres:.3g} m"
 
 
-def _draw_shot(ax: Axes, poses: Poses, stage: Stage, sample: int, title: str) -> None:
-    off = float(poses.tip_distance[sample])
-    title += f" · tip {distance_text(off)} off" if math.isfinite(off) else " · no prediction"
-    ax.set_title(title, loc="left", fontsize=9, color=style.INK, pad=3)
+def _draw_stage(ax: Axes, stage: Stage) -> None:
     ax.set_axis_off()
     ax.set_aspect("equal")
     ax.set_xlim(stage.low[0], stage.high[0])
     ax.set_ylim(stage.low[1], stage.high[1])
-    ax.fill(*project(floor_edge(stage.centre, stage.radius)).T, color=FLOOR, linewidth=0)
-    for line in floor_lines(stage):
-        ax.plot(*project(line).T, color="white", linewidth=1.0, zorder=1.1)
-    ax.fill(*project(floor_edge(np.zeros(2), BASE * stage.radius)).T, color=style.QUIET, linewidth=0, zorder=1.2)
+    ax.fill(*project(circle(stage.radius)).T, color=FLOOR, linewidth=0)
+    ax.plot(*project(floor_lines(stage)).transpose(2, 1, 0), color="white", linewidth=1.0, zorder=1.1)
+    ax.fill(*project(circle(0.09 * stage.radius)).T, color=style.QUIET, linewidth=0, zorder=1.2)
 
-    measured, predicted = poses
-    on_floor = {"color": SHADOW, "linewidth": 2.6, "solid_capstyle": "round", "solid_joinstyle": "round"}
-    ax.plot(*project(measured[sample] * (1.0, 1.0, 0.0)).T, gid="shadow", **on_floor)
-    for points, colour in ((measured, style.TRUTH), (predicted, style.BLUE)):
-        ax.plot(*project(points[: sample + 1, -1]).T, color=colour, linewidth=0.6, alpha=0.45, gid="path")
-    looks = ((measured, "measured", style.TRUTH, 4.6, 6.4), (predicted, "predicted", style.BLUE, 1.6, 3.2))
-    for points, name, colour, wide, dot in looks:
-        look = {"linewidth": wide, "markersize": dot, "solid_capstyle": "round", "solid_joinstyle": "round"}
-        ax.plot(*project(points[sample]).T, color=colour, marker="o", markeredgewidth=0, gid=name, **look)
-    apart = project(np.stack([measured[sample, -1], predicted[sample, -1]]))
-    ax.plot(*apart.T, color=style.VERMILLION, linewidth=1.4, solid_capstyle="round", gid="apart")
+
+def _draw_arms(ax: Axes, poses: Poses, sample: int) -> None:
+    """Both arms with the paths of their tips so far, the measured one from above on the floor, and how far they are
+    apart."""
+    ax.plot(*project(poses.measured[sample] * ON_FLOOR).T, color=SHADOW, linewidth=2.6, gid="shadow", **ROUND)
+    for name, points in poses._asdict().items():
+        ax.plot(*project(points[: sample + 1, -1]).T, color=LOOKS[name][0], linewidth=0.6, alpha=0.45, gid="path")
+    for name, points in poses._asdict().items():
+        colour, wide, dot = LOOKS[name]
+        look = {"linewidth": wide, "marker": "o", "markersize": dot, "markeredgewidth": 0, **ROUND}
+        ax.plot(*project(points[sample]).T, color=colour, gid=name, **look)
+    apart = project(np.stack([points[sample, -1] for points in poses]))
+    ax.plot(*apart.T, color=style.VERMILLION, linewidth=1.4, gid="apart", **ROUND)
 
 
 def _draw_scale(ax: Axes, stage: Stage) -> None:
@@ -111,31 +192,25 @@ def _draw_scale(ax: Axes, stage: Stage) -> None:
     ax.annotate(text, (x, y), (0, 3), textcoords="offset points", fontsize=8, color=style.INK, va="bottom")
 
 
-def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics, shown: np.ndarray) -> None:
+def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics) -> None:
     distance, dt = poses.tip_distance, metrics["dt"]
     style.quiet(ax, x="time (s)", y=style.label("tip, measured\nto predicted", "m"))
     marker = "." if len(distance) <= 60 else ""
     ax.plot(dt * np.arange(len(distance)), distance, color=style.VERMILLION, linewidth=1.1, marker=marker)
-    for k, sample in enumerate(shown, 1):
-        ax.axvline(dt * sample, color=style.QUIET, linewidth=0.8, alpha=0.6, zorder=1.5)
-        place = {"textcoords": "offset points", "xycoords": ax.get_xaxis_transform(), "ha": "center"}
-        ax.annotate(str(k), (dt * sample, 1.0), (0, 2), fontsize=8.5, color=style.INK, **place)
-    ax.plot(dt * shown, distance[shown], "o", color=style.VERMILLION, markersize=4.5, zorder=3, gid="shots")
     if metrics["n_init"]:
         ax.axvspan(0.0, dt * min(metrics["n_init"], len(distance)), color=style.QUIET, alpha=0.12, linewidth=0)
     ax.margins(x=0.01)
     if np.isfinite(distance).any():
         ax.set_ylim(0.0, 1.1 * float(np.nanmax(distance)) or 1.0)
     else:
-        ax.set_yticks([])
-        style.note(ax, "no prediction to compare with the measurement")
+        style.note(ax, "no prediction to compare with the measurement", blank=True)
 
 
 def _handles() -> list[Artist]:
+    arms = LOOKS.items()
     return [
-        style.key("measured", style.TRUTH, linewidth=4.6, marker="o", markersize=6.4),
-        style.key("predicted", style.BLUE, linewidth=1.6, marker="o", markersize=3.2),
+        *(style.key(name, c, linewidth=wide, marker="o", markersize=dot) for name, (c, wide, dot) in arms),
         style.key("distance of the tips", style.VERMILLION, linewidth=1.4),
-        style.key("path of the tip so far", style.QUIET, linewidth=0.7),
+        style.key("path of the tip", style.QUIET, linewidth=0.7),
         style.key("measured arm from above, on the floor", SHADOW, linewidth=2.6),
     ]

@@ -5,7 +5,7 @@ Everything is set on the objects themselves; matplotlib's global settings are ne
 
 import textwrap
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -31,28 +31,10 @@ def label(name: str, unit: str) -> str:
     return plain(f"{name} ({unit})" if unit else f"{name} (–)")
 
 
-class Header(NamedTuple):
-    """What stands above the panels; loud: phrases at the top right that nobody may overlook."""
-
-    title: str = ""
-    result: str = ""
-    source: str = ""
-    loud: Sequence[str] = ()
-
-    def lines(self, extent: str) -> list[str]:
-        return [self.result, " · ".join(filter(None, (extent, self.source)))]
-
-
-def header(metrics: Metrics, result: str = "") -> Header:
-    """The facts of a run; simulated data and missing members are said loudly."""
-    loud = ["SIMULATED DATA" if content.simulated(metrics) else "", content.incomplete(metrics).upper()]
-    return Header(content.heading(metrics), result, content.source(metrics), list(filter(None, loud)))
-
-
 def page(body: float, metrics: Metrics, lines: Sequence[str]) -> Figure:
-    """The empty figure of a run."""
-    facts = header(metrics)
-    return headed(body, facts.title, lines, facts.loud)
+    """The empty figure of a run; simulated data and missing members are said loudly."""
+    loud = ["SIMULATED DATA" if content.simulated(metrics) else "", content.incomplete(metrics).upper()]
+    return headed(body, content.heading(metrics), lines, list(filter(None, loud)))
 
 
 def headed(body: float, title: str, lines: Sequence[str], loud: Sequence[str]) -> Figure:

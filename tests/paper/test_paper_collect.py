@@ -90,12 +90,11 @@ def test_a_sweep_under_a_budget_or_another_name(tmp_path):
     )
     fail_run(tmp_path / "table1_tank_smoke/model=fcssnn")
     write_run(tmp_path / "other/model=rssnn_fb", [0.5], model="rssnn_fb", experiment="table1_tank", budget="paper")
-    fail_run(tmp_path / "other/model=fcssnn_sgm")
     runs = by_name(tmp_path)
     assert [runs[f"model={name}"].budget for name in ("rssnn", "fcssnn")] == ["smoke", "smoke"]
-    assert [runs[f"model={name}"].budget for name in ("rssnn_fb", "fcssnn_sgm")] == [None, None]
+    assert runs["model=rssnn_fb"].budget is None
     assert {run.experiment for run in runs.values()} == {"table1_tank"}
-    assert runs["model=fcssnn_sgm"].variant == Variant("fcssnn_sgm", "tanks", 768)
+    assert runs["model=fcssnn"].variant == Variant("fcssnn", "tanks", 768)
 
 
 def test_members_that_a_configuration_plans(tmp_path):

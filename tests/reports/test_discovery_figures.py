@@ -11,8 +11,6 @@ from matplotlib.figure import Figure
 from test_report_figures import texts
 
 from pgrssnn_jax.reports import discovery_figures as figures
-from pgrssnn_jax.reports import panels
-from pgrssnn_jax.reports.style import Header
 
 
 def named(figure: Figure, gid: str) -> list[Any]:
@@ -94,18 +92,6 @@ def test_a_long_record_is_shown_around_its_largest_residual():
     assert len(shown) == 300
     assert shown[0] <= arrays["time_test"][worst] <= shown[-1]
     assert re.search(r"samples \d+ to \d+ of 2000", texts(figure))
-
-
-def test_a_thinned_signal_keeps_its_extremes_and_its_order():
-    values = np.random.default_rng(0).normal(size=9000)
-    values[4000:4500] = np.nan
-    t, thin = panels.thinned(np.arange(9000.0), values)
-    assert len(t) < 3100
-    assert (np.diff(t) > 0).all()
-    assert (np.nanmin(thin), np.nanmax(thin)) == (np.nanmin(values), np.nanmax(values))
-    np.testing.assert_array_equal(thin, values[t.astype(int)])
-    long = figures.disagreement_figure(*tank_discovery(samples=4000))
-    assert len(named(long, "correction")[0].get_xdata()) < 3100
 
 
 def test_disagreement_draws_every_stage_the_worst_correction_and_its_times():
@@ -193,16 +179,3 @@ def test_an_uncertain_shift_does_not_hide_the_others():
     wild = {"k": {"before": 1.0, "after": 1.1, "std": 1e6, "unit": ""}}
     low, high = figures.shifts_figure(TANK[0] | {"recalibration": wild, "parameters": {}}).axes[0].get_xlim()
     assert high - low < 40
-
-
-def test_a_discovery_is_drawn_from_arrays_alone():
-    _, arrays = ARM
-    simulated = {stage: arrays[f"y_{stage}_test"] for stage in STAGES}
-    given = {"time": arrays["time_test"], "outputs": ARM[0]["outputs"], "header": Header("an arm"), "sequence": 1}
-    figure = figures.discovery_figure(arrays["y_test"], simulated, **given)
-    for stage in STAGES:
-        drawn = named(figure, stage)
-        assert len(drawn) == 12
-        np.testing.assert_array_equal(drawn[0].get_ydata(), simulated[stage][1, :, 0])
-    assert "an arm" in texts(figure)
-    assert "sequence 2 of 2" in texts(figure)

@@ -1,22 +1,12 @@
-"""What `discovery.json` says: its verdict in words, its figures as rows, and all of it as a summary for the terminal.
-
-The page and the pictures of a discovery run read the same rows. A missing figure is NaN here and shown as a dash.
-"""
+"""What `discovery.json` says: its verdict in words, its figures as rows. A missing figure is NaN, shown as a dash."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich import box
-from rich.console import Group, RenderableType
-from rich.panel import Panel
-from rich.table import Table as RichTable
-from rich.text import Text
 
-from pgrssnn_jax.reports import content
-from pgrssnn_jax.reports.content import MISSING, Content, Metrics, Number, mean_std, number, plus_minus, rounded, shown
-from pgrssnn_jax.reports.tabular import Row, Table
+from pgrssnn_jax.reports.content import MISSING, Metrics, Number, plus_minus, rounded
 
 Discovery = Mapping[str, Any]
 
@@ -35,7 +25,6 @@ STAND_INS = (
 )
 
 STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "after": "with the missing effects"}
-SHOWN_SHIFTS = 10
 SHOWN_INTERVALS = 5
 
 
@@ -99,12 +88,8 @@ def percent(share: Any) -> str:
     return MISSING if not math.isfinite(share) else f"{share:.1f} %" if abs(share) < 99.95 else f"{share:.0f} %"
 
 
-def share(value: Number | None) -> Content:
-    return number(value, percent(value))
-
-
-def chance(p: Number | None) -> Content:
-    return number(p, f"{real(p):.2g}")
+def chance(p: Number | None) -> str:
+    return MISSING if p is None else f"{p:.2g}"
 
 
 def heading(discovery: Discovery) -> str:
@@ -167,12 +152,6 @@ def shifts(discovery: Discovery) -> list[Shift]:
     return sorted(rows, key=lambda row: -math.inf if math.isnan(row.size) else row.size, reverse=True)
 
 
-def at_bounds(discovery: Discovery) -> str:
-    """Which numbers a fit was not let go further with, as a sentence; empty where there are none."""
-    names = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
-    return f"At their bounds, beyond which the fit may want to go: {', '.join(names)}." if names else ""
-
-
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs."""
     rows = []
@@ -211,84 +190,3 @@ def intervals(row: Mapping[str, Any]) -> str:
     spans = [f"{start:g} to {stop:g} s" for start, stop in (listed or ())]
     more = f" and {len(spans) - SHOWN_INTERVALS} more" if len(spans) > SHOWN_INTERVALS else ""
     return ", ".join(spans[:SHOWN_INTERVALS]) + more + sequence
-
-
-def effect_facts(effect: Mapping[str, Any]) -> dict[str, Content]:
-    """Where and when an effect acts and how sure it is; what is not known is left out."""
-    runner, p, active = effect.get("runner_up") or {}, effect.get("p_value"), effect.get("active_fraction")
-    joints = ", ".join(map(str, effect.get("joints") or ()))
-    gains = [share(effect.get(f"gain_{part}")) for part in ("test", "train")]
-    facts: dict[str, Content | None] = {
-        "cause": effect.get("cause"),
-        "acts on": ", joint ".join(filter(None, (str(effect.get("acts_on") or ""), joints))),
-        "where": effect.get("region"),
-        "active": None if active is None else f"in {percent(active)} of the samples",
-        "when": intervals(effect),
-        "gap closed": (gains[0], " on test, ", gains[1], " on training data"),
-        "by chance": None if p is None else ("p = ", chance(p)),
-        "runner-up": (f"{runner.get('name')}, would close ", share(runner.get("gain"))) if runner else None,
-    }
-    return {name: found for name, found in facts.items() if found}
-
-
-def discovery_summary(discovery: Discovery) -> Group:
-    """The verdict in large, a card per finding, the gap, the largest shifts of parameters, the seconds."""
-    colour = "green" if discovery["verdict"] in ("no_discrepancy", "miscalibrated", "effect_found") else "yellow"
-    verdict = Text(f"{heading(discovery).upper()}\n", f"bold {colour}").append(
-        str(discovery.get("sentence") or ""), "not bold"
-    )
-    parts: list[RenderableType] = [Panel(verdict, box=box.HEAVY, border_style=colour, padding=(1, 2))]
-    if stand_ins(discovery):
-        parts.append(Text(STAND_INS))
-    parts += [_card(effect) for effect in discovery.get("effects") or ()]
-    for name, rows, why in (("or", "alternatives", "experiment"), ("cannot be tested", "untestable", "reason")):
-        for row in discovery.get(rows) or ():
-            gain = f", takes {percent(row['gain'])} of the error energy away" if row.get("gain") is not None else ""
-            parts.append(Text(f"{name}: {row['name']}{gain}; {why}: {row.get(why) or MISSING}"))
-    if discovery.get("formula"):
-        parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
-    bounds = [Text(sentence)] if (sentence := at_bounds(discovery)) else []
-    parts += [_gap_table(discovery), *_shift_table(discovery), *bounds, _source(discovery)]
-    spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
-    return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
-
-
-def _source(discovery: Discovery) -> Text:
-    metrics = as_metrics(discovery)
-    return Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
-
-
-def _card(effect: Mapping[str, Any]) -> Panel:
-    grid = RichTable.grid(padding=(0, 2))
-    grid.add_column(style="dim", no_wrap=True)
-    grid.add_column()
-    for q in quantities(effect):
-        grid.add_row(Text(q.name), Text(q.words, "bold"))
-    command = {"command": str(effect["command"])} if effect.get("command") else {}
-    for name, fact in (effect_facts(effect) | command).items():
-        grid.add_row(Text(name), Text(shown(fact)))
-    equation = Text(str(effect.get("equation") or ""), "bold cyan")
-    title = Text(f"{effect.get('title') or effect['name']} · {effect['name']}", "bold")
-    return Panel(Group(equation, grid), title=title, title_align="left", box=box.ROUNDED)
-
-
-def _gap_table(discovery: Discovery) -> Table:
-    metric, unit = gap_metric(discovery)
-    closed = (discovery.get("gap") or {}).get("closed_fraction")
-    footer = [f"{percent(closed)} of the gap closed"] if closed is not None else []
-    rows: list[Row] = []
-    for row in gap_rows(discovery):
-        span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
-        rows.append(("", [f"{row.stage}: {row.words}", number(row.train), number(row.test), span]))
-    header, title = ("physics", "train", "test", "test interval"), f"{metric}{content.in_unit(unit)}"
-    return Table(header, rows, title, footer, left=header[:1], wrap=True)
-
-
-def _shift_table(discovery: Discovery) -> list[Table]:
-    rows: list[Row] = []
-    for row in (moved := shifts(discovery))[:SHOWN_SHIFTS]:
-        figures = number(row.before), number(row.recalibrated), mean_std(row.final, row.final_std)
-        rows.append(("", [row.name, *figures, row.unit or MISSING, share(row.size)]))
-    header, more = ("number", "before", "refitted", "final ± std", "unit", "shift"), len(moved) - SHOWN_SHIFTS
-    footer = [f"{more} more on the page"] if more > 0 else []
-    return [Table(header, rows, "numbers, largest shift first", footer, left=header[:1], wrap=True)] if rows else []

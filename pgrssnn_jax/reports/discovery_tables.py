@@ -1,0 +1,145 @@
+"""The tables of a discovery, which its page and the terminal share, and all of it as a summary for the terminal."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.text import Text
+
+from pgrssnn_jax.reports import content
+from pgrssnn_jax.reports import discovery_facts as facts
+from pgrssnn_jax.reports.content import MISSING, Number, plus_minus, rounded
+from pgrssnn_jax.reports.discovery_facts import Discovery, chance, percent, real
+from pgrssnn_jax.reports.tabular import Row, Table
+
+SHOWN_ROWS = 15
+
+
+def finding_table(effect: Mapping[str, Any]) -> Table:
+    """A missing effect: its equation and numbers, where and when it acts, how sure it is; without what is not known."""
+    runner, p, active = effect.get("runner_up") or {}, effect.get("p_value"), effect.get("active_fraction")
+    joints = ", ".join(map(str, effect.get("joints") or ()))
+    gains = [percent(effect.get(f"gain_{part}")) for part in ("test", "train")]
+    known: dict[str, str | None] = {
+        "equation": effect.get("equation"),
+        **{quantity.name: quantity.words for quantity in facts.quantities(effect)},
+        "cause": effect.get("cause"),
+        "acts on": ", joint ".join(filter(None, (str(effect.get("acts_on") or ""), joints))),
+        "where": effect.get("region"),
+        "active": None if active is None else f"in {percent(active)} of the samples",
+        "when": facts.intervals(effect),
+        "gap closed": f"{gains[0]} on test, {gains[1]} on training data",
+        "by chance": None if p is None else f"p = {chance(p)}",
+        "runner-up": f"{runner.get('name')}, would close {percent(runner.get('gain'))}" if runner else None,
+        "command": effect.get("command"),
+    }
+    rows = [[name, found] for name, found in known.items() if found]
+    title = f"{effect.get('title') or effect['name']} · {effect['name']}"
+    return _table(title, ("effect", "found"), rows, left=2)._replace(most=None)
+
+
+def open_tables(discovery: Discovery) -> list[Table]:
+    """What could not be told; none where there is nothing of the kind."""
+    others = [
+        [str(row["name"]), percent(row.get("gain")), str(row.get("experiment") or MISSING)]
+        for row in discovery.get("alternatives") or ()
+    ]
+    silent = [[str(row["name"]), str(row.get("reason") or MISSING)] for row in discovery.get("untestable") or ()]
+    header = ("effect", "error energy taken away", "experiment that would tell")
+    tables = [
+        _table("Alternatives that these data cannot tell apart", header, others, left=3),
+        _table("Effects that these data cannot test", ("effect", "why"), silent, left=2),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def discovery_summary(discovery: Discovery) -> Group:
+    """The verdict in large, a table per finding, the gap, the largest shifts of parameters, the seconds."""
+    colour = "green" if discovery["verdict"] in ("no_discrepancy", "miscalibrated", "effect_found") else "yellow"
+    verdict = Text(f"{facts.heading(discovery).upper()}\n", f"bold {colour}").append(
+        str(discovery.get("sentence") or ""), "not bold"
+    )
+    parts: list[RenderableType] = [Panel(verdict, box=box.HEAVY, border_style=colour, padding=(1, 2))]
+    if facts.stand_ins(discovery):
+        parts.append(Text(facts.STAND_INS))
+    parts += [*map(finding_table, discovery.get("effects") or ()), *open_tables(discovery)]
+    if discovery.get("formula"):
+        parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
+    metrics = facts.as_metrics(discovery)
+    source = Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
+    parts += [gap_table(discovery), *([shift_table(discovery)] if facts.shifts(discovery) else []), source]
+    spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
+    return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
+
+
+def gap_table(discovery: Discovery) -> Table:
+    """The error of every stage of the physics, with its interval on test data."""
+    metric, unit = facts.gap_metric(discovery)
+    closed = (discovery.get("gap") or {}).get("closed_fraction")
+    rows: list[list[str]] = []
+    for row in facts.gap_rows(discovery):
+        span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
+        rows.append([f"{row.stage}: {row.words}", rounded(row.train), rounded(row.test), span])
+    table = _table(f"The gap: {metric}{content.in_unit(unit)}", ("physics", "train", "test", "test interval"), rows)
+    return table._replace(footer=[f"{percent(closed)} of the gap closed"] if closed is not None else [])
+
+
+def shift_table(discovery: Discovery) -> Table:
+    """The numbers of the physics, the largest relative shift first."""
+    rows: list[list[str]] = []
+    for row in facts.shifts(discovery):
+        fits = plus_minus(row.recalibrated, row.recalibrated_std), plus_minus(row.final, row.final_std)
+        rows.append([row.name, rounded(row.before), *fits, row.unit or MISSING, percent(row.size)])
+    header = ("number", "before", "refitted ± std", "final ± std", "unit", "shift")
+    at_bound = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
+    bounds = [f"At their bounds, beyond which the fit may want to go: {', '.join(at_bound)}."] if at_bound else []
+    return _table("The numbers of the physics, largest shift first", header, rows)._replace(footer=bounds)
+
+
+def number_tables(discovery: Discovery) -> list[Table]:
+    """Everything that was measured on the way; none that would be empty."""
+    tried: list[Row] = []
+    for row in discovery.get("ranking") or ():
+        name = str(row["name"]) + ("" if row.get("cross_validated", True) else " (fitted only)")
+        cells = [name, percent(row.get("gain")), chance(row.get("p_value")), "yes" if row.get("chosen") else "no"]
+        tried.append(("headline" if row.get("chosen") else "", cells))
+    network = discovery.get("network") or {}
+    of = str(network.get("metric") or "RMSE")
+    supplied: list[list[str]] = [
+        [words, percent(network.get(f"share_{stage}")), rounded(real(network.get(f"{of.lower()}_{stage}")))]
+        for stage, words in facts.STAGES.items()
+        if f"share_{stage}" in network
+    ]
+    where: list[list[str]] = []
+    for row in sorted(discovery.get("disagreement") or (), key=lambda row: -(row.get("share_of_error") or 0.0)):
+        shares = percent(row.get("share_of_error")), percent(row.get("share_of_samples"))
+        place = str(row.get("rule") or _region(row.get("region") or {}))
+        where.append([str(row["equation"]), *shares, place, facts.intervals(row) or MISSING])
+    where_header = ("equation", "share of the error", "share of the samples", "where", "when")
+    tried_title = "Candidate effects, error energy taken away in cross-validation"
+    network_header = ("physics", "share of the prediction", f"test {of}{content.in_unit(network.get('unit'))}")
+    tables = [
+        gap_table(discovery),
+        _table("Where physics and measurement disagree", where_header, where),
+        _table(tried_title, ("effect", "error energy", "p", "chosen"), [])._replace(rows=tried),
+        shift_table(discovery),
+        _table("What the network of the PG-RSSNN has to supply", network_header, supplied),
+    ]
+    return [table for table in tables if table.rows]
+
+
+def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Table:
+    return Table(header, [("", row) for row in rows], title, left=header[:left], wrap=True, most=SHOWN_ROWS)
+
+
+def _region(region: Mapping[str, Sequence[Number | None]]) -> str:
+    """Bounds in words; an open one is left out."""
+    bounds = ((name, *map(real, span)) for name, span in region.items())
+    texts = [
+        (f"{low:g} ≤ " if math.isfinite(low) else "") + name + (f" ≤ {high:g}" if math.isfinite(high) else "")
+        for name, low, high in bounds
+    ]
+    return ", ".join(texts) or MISSING
