@@ -1,11 +1,14 @@
-"""Does discovery name what is hidden? python benchmarks/discovery.py [--cases 100] [--systems tanks lgssm pendulum]
-[--kinds single double none removed] [--seed 0] [--json FILE] [--sindy].
+"""Does discovery name what is hidden? python benchmarks/discovery.py [--cases 100] [--systems tanks lgssm pendulum ...]
+[--kinds none single double removed] [--noises white ar95 ...] [--seeds 0 ...] [--units] [--json FILE] [--sindy].
 
 Seeded cases from independent simulators (`hidden/`), each with random parameters and noise; discovery is given the
-record and the nominal physics, nothing else. Prints a line per case, a table per kind, the confusions and the seconds.
+record and the nominal physics, nothing else. Prints a line per case and a table by system, kind and noise. FILE holds a
+row per case, one a line: cases that are in it are not run again, unless discovery, effects, physics or the simulators
+have changed since.
 """
 
 import argparse
+import hashlib
 import json
 import time
 from collections.abc import Sequence
@@ -15,65 +18,78 @@ from typing import Any
 
 import jax
 import numpy as np
-from hidden import compare, pendulum, suite
-from hidden.case import Case
+from hidden import compare, suite
+from hidden.case import SYSTEMS, Case
+from hidden.noise import KINDS as NOISES
+from hidden.nominal import nominal, true_parameters
+from hidden.score import Row, is_right, scores
 from hidden.suite import KINDS, Plan
 from rich.console import Console
-from rich.table import Table
 
+from pgrssnn_jax.discovery.discover import Discovery, discover_in
+from pgrssnn_jax.discovery.finding import interval
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
 from pgrssnn_jax.discovery.unknown import flexible_problem
-from pgrssnn_jax.discovery.workflow import Discovery, discover_in
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.arms.build import arm
-from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.physics.linear import lgssm
-from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.training.settings import training_settings
 
 # The physics is integrated as it should be, records are whole, and names are what counts: no network is trained.
-_WHOLE = {"replace": {}, "stretches": [], "network_epochs": 0}
-_AS_USERS = {"network_epochs": 0}  # an arm in stretches, with what discovery changes in it
+_WHOLE: dict[str, Any] = {"replace": {}, "stretches": [], "network_epochs": 0}
+_AS_USERS: dict[str, Any] = {"network_epochs": 0}  # an arm in stretches, with what discovery changes in it
+_ROOT = Path(__file__).resolve().parents[1]
+_DECIDES = ("pgrssnn_jax/discovery", "pgrssnn_jax/effects", "pgrssnn_jax/physics", "benchmarks/hidden")
+_TELL_ONLY = ("score.py", "check.py", "compare.py")
 
 
 def main() -> None:
     arguments = _arguments()
     jax.config.update("jax_num_cpu_devices", arguments.devices)
-    console = Console(width=160)
+    console, code = Console(width=160), _digest()
+    known = _known(arguments.json, code)
     rows = []
     for system in arguments.systems:
         problems: list[tuple[Problem, Problem]] = []
-        plans = suite.plans(system, arguments.cases, arguments.seed, arguments.kinds)
-        for plan in plans:
-            rows.append(_one(plan, problems, sindy=arguments.sindy))
-            console.print(_line(rows[-1]), soft_wrap=True, highlight=False)
-            if arguments.json is not None:
-                arguments.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-        console.print(_table([row for row in rows if row["system"] == system], system))
+        for seed in arguments.seeds:
+            for plan in suite.plans(system, arguments.cases, seed, arguments.kinds, arguments.noises):
+                plan = plan._replace(in_other_units=arguments.units and system != "arm")
+                row = known.get(_key(plan))
+                if row is None:
+                    row = _one(plan, problems, sindy=arguments.sindy) | {"code": code}
+                    console.print(_line(row), soft_wrap=True, highlight=False)
+                    _append(arguments.json, row)
+                rows.append(row)
+    console.print(scores(rows))
 
 
-def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) -> dict[str, Any]:
+def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) -> Row:
     """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
     case = suite.build(plan)
     setup = _set_up(case, plan.removed)
-    if not problems:
+    if plan.in_other_units or not problems:  # units are part of the program
+        problems.clear()
         problem = build_problem(setup.physics, setup.effects, fixed=setup.settings.fixed)
         problems.append((problem, flexible_problem(problem)))
     problem, flexible = (one.with_numbers(setup.physics.params) for one in problems[0])
     started = time.perf_counter()
-    found = discover_in(
-        problem, setup.estimation, setup.test, setup.settings, lambda line: None, start=setup.start, flexible=flexible
-    )
+    found = discover_in(problem, setup, lambda line: None, flexible)
     seconds = time.perf_counter() - started
-    names = list(found.found.final.estimate.active)
+    selection, judgement = found.selection, found.judgement
+    screenings, unnamed = selection.screenings, judgement.unnamed
+    names = sorted(selection.final.estimate.active, key=lambda name: screenings[name].base.score)
+    unit = selection.floor or 1.0
     return {
         **plan._asdict(),
-        "verdict": str(found.judged.verdict),
-        "names": sorted(names, key=lambda name: -found.found.stages[name].base.cost),
-        "right": _right(case, plan.kind, names, str(found.judged.verdict)),
+        "verdict": str(judgement.verdict),
+        "names": names,
+        "right": is_right(case, plan.kind, names, str(judgement.verdict)),
+        "first": bool(names) and any(names[0] in accepted for accepted in case.accepted),
+        "alternatives": {name: [one.name for one in found] for name, found in judgement.alternatives.items() if found},
+        "unnamed": unnamed and unnamed[1].name,
+        "errors": [selection.first.rms() / unit, selection.last.rms() / unit],
+        "distances": _distances(found, true_parameters(case)),
         "closed": _closed(found, case),
         "seconds": seconds,
         "steps": found.seconds,
@@ -83,7 +99,7 @@ def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) ->
 
 def _set_up(case: Case, removed: Sequence[str]) -> Setup:
     """As `pg.discover` begins, from the defaults and what a benchmark leaves out."""
-    physics = _nominal(case)
+    physics = nominal(case)
     known = {effect.name for effect in catalogue(physics)}
     settings = DiscoverySettings(
         **(_AS_USERS if case.system == "arm" else _WHOLE), without=[name for name in removed if name in known]
@@ -96,80 +112,88 @@ def _at_rest(record: Record) -> Record:
     return record._replace(info=replace(record.info, start="rest"))
 
 
-def _by_sindy(case: Case) -> dict[str, Any]:
+def _by_sindy(case: Case) -> Row:
     """Right: a name of what is there, or none where nothing is."""
     name = compare.sindy_name(case)
     accepted = {one for names in case.accepted for one in names} or {None}
     return {"sindy": name, "sindy_right": name in accepted}
 
 
-def _nominal(case: Case) -> Physics:
-    """The physics that discovery is given: the nominal one, integrated finely enough not to be in the way; an arm is
-    what users have."""
-    if case.system == "tanks":
-        return cascaded_tanks(**case.physics, integrator="rk4")
-    if case.system == "lgssm":
-        return lgssm(**case.physics)
-    if case.system == "pendulum":
-        return pendulum.pendulum(**case.physics)
-    return arm(**{"sub_steps": 5, **case.physics})  # finely enough not to be in the way
+def _distances(found: Discovery, truth: dict[str, float]) -> dict[str, float]:
+    """Of each true number of the physics from its estimate, in halves of the 95 % interval: within it up to 1."""
+    problem, final = found.problem, found.selection.final
+    places = {slot.label: i for i, slot in enumerate(problem.slots) if slot.effect is None}
+    distances = {}
+    for name, value in truth.items():
+        low, high = interval(final.estimate.theta[places[name]], final.deviation[places[name]], final.freedom)
+        half = max((high - low) / 2, np.finfo(float).tiny)
+        distances[name] = float((value - (low + high) / 2) / half)
+    return distances
 
 
-def _right(case: Case, kind: str, names: Sequence[str], verdict: str) -> bool:
-    if kind == "removed":
-        return verdict == "unknown_effect"
-    if kind == "none":
-        return not names and verdict in ("no_discrepancy", "miscalibrated")
-    matched = [any(name in accepted for name in names) for accepted in case.accepted]
-    return all(matched) and len(names) == len(matched) and verdict in ("effect_found", "ambiguous")
-
-
-def _closed(found: Discovery, case: Case) -> float:
-    """Part of the recalibrated gap on the test record, above the noise, that is gone."""
-    floor = case.floor / (np.std(case.test.y) if found.merit.name == "NRMSE" else 1.0)
+def _closed(found: Discovery, case: Case) -> float | None:
+    """Part of the recalibrated gap on the test record, above the noise, that is gone; None where there was none."""
+    floor = case.floor / (np.std(case.test.y) if found.test.metric.name == "NRMSE" else 1.0)
     gap = found.test.recalibrated.error - floor
-    return (found.test.recalibrated.error - found.test.after.error) / gap if gap > 0 else float("nan")
+    return float((found.test.recalibrated.error - found.test.after.error) / gap) if gap > 0 else None
 
 
-def _percent(share: float) -> str:
-    """A dash where there was no gap to close."""
-    return "–" if np.isnan(share) else f"{100 * share:.0f} %"
-
-
-def _line(row: dict[str, Any]) -> str:
-    mark = "right" if row["right"] else "WRONG"
+def _line(row: Row) -> str:
+    aside = row["kind"] == "none" and row["verdict"] in ("unexplained", "not_confirmed")
+    mark = "right" if row["right"] else "apart" if aside else "WRONG"  # apart: no finding, but not told either
     truth, removed = " + ".join(row["truth"]) or "none", " (removed)" if row["removed"] else ""
     said = f"{row['verdict']} {' + '.join(row['names'])}".strip()
-    more = f"; sindy {row['sindy']}" if "sindy" in row else ""
+    said += f" or {row['alternatives']}" if row["alternatives"] else ""
+    said += f" unnamed {row['unnamed']}" if row["unnamed"] else ""
+    closed = "" if row["closed"] is None else f", closed {100 * row['closed']:.0f} %"
+    missed = [f"{name} ({distance:+.1f})" for name, distance in row["distances"].items() if abs(distance) > 1]
+    first, last = row["errors"]
     return (
-        f"{mark} {row['system']} {row['seed']} noise {row['noise']:g}: {truth}{removed} -> {said}; "
-        f"closed {_percent(row['closed'])}, {row['seconds']:.1f} s{more}"
+        f"{mark} {row['system']} {row['seed']} {row['noise_kind']} {row['noise']:g}: {truth}{removed} -> {said}; "
+        f"errors {first:.2f} to {last:.2f} noises{closed}"
+        + (f", intervals miss {' '.join(missed)}" if missed else "")
+        + f", {row['seconds']:.1f} s"
+        + (f"; sindy {row['sindy']}" if "sindy" in row else "")
     )
 
 
-def _table(rows: Sequence[dict[str, Any]], system: str) -> Table:
-    compared = all("sindy" in row for row in rows)
-    columns = ("kind", "cases", "right", "right name first", "median closed", "median s")
-    table = Table(*columns, *(["SINDy names one"] if compared else []), title=system)
-    for kind in KINDS:
-        own = [row for row in rows if row["kind"] == kind]
-        if own:
-            first = sum(bool(row["names"]) and row["names"][0] in row["truth"] for row in own)
-            gaps = [row["closed"] for row in own if not np.isnan(row["closed"])]
-            closed = _percent(float(np.median(gaps)) if gaps else float("nan"))
-            seconds = f"{np.median([row['seconds'] for row in own]):.1f}"
-            figures = [len(own), sum(row["right"] for row in own), first, closed, seconds]
-            figures += [sum(row["sindy_right"] for row in own)] if compared else []
-            table.add_row(kind, *map(str, figures))
-    return table
+def _digest() -> str:
+    """Of the sources that decide what is found."""
+    found = hashlib.sha256()
+    for folder in _DECIDES:
+        for file in sorted((_ROOT / folder).rglob("*.py")):
+            if file.name not in _TELL_ONLY:
+                found.update(file.read_bytes())
+    return found.hexdigest()[:12]
+
+
+def _key(plan: Plan) -> str:
+    return json.dumps(plan._asdict(), sort_keys=True)
+
+
+def _known(file: Path | None, code: str) -> dict[str, Row]:
+    """Rows of an earlier run by their plans."""
+    if file is None or not file.exists():
+        return {}
+    rows: list[dict[str, Any]] = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+    fields = Plan._fields
+    return {json.dumps({k: row[k] for k in fields}, sort_keys=True): row for row in rows if row["code"] == code}
+
+
+def _append(file: Path | None, row: Row) -> None:
+    if file is not None:
+        with file.open("a", encoding="utf-8") as out:
+            out.write(json.dumps(row) + "\n")
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=100, help="per system")
-    parser.add_argument("--systems", nargs="+", default=["tanks", "lgssm", "pendulum"])
-    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
-    parser.add_argument("--seed", type=int, default=0)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cases", type=int, default=100, help="per system and seed")
+    parser.add_argument("--systems", nargs="+", default=[one for one in SYSTEMS if one != "arm"], choices=SYSTEMS)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
+    parser.add_argument("--noises", nargs="+", default=["white"], choices=NOISES)
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--units", action="store_true", help="inputs and outputs times random powers of ten")
     parser.add_argument("--devices", type=int, default=2)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--sindy", action="store_true", help="the same cases by SINDy on residual derivatives")

@@ -21,12 +21,12 @@ from rich.console import Console
 from pgrssnn_jax.acceleration.devices import keep_compiled
 from pgrssnn_jax.data.benchmarks import load_benchmark
 from pgrssnn_jax.data.sources import channels
-from pgrssnn_jax.discovery.card import discovery_arrays, discovery_json
+from pgrssnn_jax.discovery.discover import check_free_run
+from pgrssnn_jax.discovery.discover import discover as discover_from
 from pgrssnn_jax.discovery.network import network_shares, plan_network
+from pgrssnn_jax.discovery.serialise import discovery_arrays, discovery_json
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
-from pgrssnn_jax.discovery.workflow import check_free_run
-from pgrssnn_jax.discovery.workflow import discover as discover_from
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import settings_to_json, stored_physics
 from pgrssnn_jax.effects.systems import add_effect as add
@@ -155,7 +155,7 @@ def discovered(
     """Runs a discovery that has been set up; stop: looked at between epochs of the proof; seconds: spent before."""
     found = discover_from(setup, notify)
     details = discovery_json(found, setup, command=command)
-    if setup.settings.network_epochs and found.found.final.estimate.active:
+    if setup.settings.network_epochs and found.selection.final.estimate.active:
         started = time.perf_counter()
         details["network"] = network_shares(setup, details, notify, stop)
         details["seconds"]["network"] = time.perf_counter() - started

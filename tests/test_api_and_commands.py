@@ -11,7 +11,7 @@ import pgrssnn_jax as pg
 SMOKE = {"epochs": 10, "chunk_epochs": 10, "optimisation": 0, "quiet": True}
 
 
-@pytest.mark.parametrize("name", ["pg_rssnn", "physics_only"])
+@pytest.mark.parametrize("name", ["physics_only", pytest.param("pg_rssnn", marks=pytest.mark.slow)])
 def test_the_api_gives_the_numbers_of_the_command(name, tmp_path):
     arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", f"model={name}"]
     code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)

@@ -73,12 +73,12 @@ def test_units_are_converted_or_refused():
 @pytest.mark.slow
 def test_discovery_finds_a_hidden_effect_of_the_users_own(tmp_path):
     spring = pg.Effect(
-        "cubic_spring",
+        "twisted_wire",
         {"k": pg.Parameter("k", "Nm/rad^3", bounds=(0.0, 50.0), neutral=0.0)},
         lambda inner: pg.effects.after_step(
-            inner, "cubic_spring", lambda n, own, x, u, new: new.at[1].add(-0.05 * n["k"] * new[0] ** 3)
+            inner, "twisted_wire", lambda n, own, x, u, new: new.at[1].add(-0.05 * n["k"] * new[0] ** 3)
         ),
-        title="Cubic spring",
+        title="Twisted wire",
         initial_guesses=lambda span: [{"k": np.asarray(1.0)}, {"k": np.asarray(4.0)}],
     )
     truth = pg.add(pendulum(), spring, k=4.0)
@@ -88,7 +88,7 @@ def test_discovery_finds_a_hidden_effect_of_the_users_own(tmp_path):
         records.append(pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest"))
     others = [effect.name for effect in pg.effects.catalogue(pendulum()) if effect.name != "input_gain"]
     found = pg.discover(pendulum(), *records, effects=[spring], without=others, **CHEAP)
-    assert [effect.name for effect in found.effects] == ["cubic_spring"]
+    assert [effect.name for effect in found.effects] == ["twisted_wire"]
     number = found.effects[0].parameters["k"]
     assert number["value"] == pytest.approx(4.0, rel=0.05)
     assert number["interval"][0] < number["value"] < number["interval"][1]
@@ -99,5 +99,5 @@ def test_discovery_finds_a_hidden_effect_of_the_users_own(tmp_path):
     assert json.loads((tmp_path / "found" / "discovery.json").read_text())["verdict"] == found.verdict
     better = pg.fit("pg_rssnn", found.physics, records[0], **QUICK)
     assert better.settings.model.start_from_physics
-    assert "cubic_spring" in repr(better.physics.params)
-    assert "cubic_spring" in found._repr_html_()
+    assert "twisted_wire" in repr(better.physics.params)
+    assert "twisted_wire" in found._repr_html_()

@@ -41,7 +41,7 @@ def test_hydra_lists_the_configurations_without_copying_their_store():
     assert copy.deepcopy(store) is store
 
 
-FAST = ("fcssnn", "pg_rssnn_fb", "w_pgnn")  # without recurrence, with feedback, and the one with a network inside
+FAST = ("pg_rssnn_fb", "w_pgnn")  # with feedback, and the one with a network inside
 
 
 @pytest.mark.parametrize("model", [m if m in FAST else pytest.param(m, marks=pytest.mark.slow) for m in MODELS])
@@ -64,9 +64,8 @@ def test_every_model_trains_for_two_epochs(tmp_path, model):
 LGSSM = [name for name in config_names("physics") if name.startswith("lgssm")]
 
 
-@pytest.mark.parametrize(
-    "physics", [p if p == "lgssm_model3" else pytest.param(p, marks=pytest.mark.slow) for p in LGSSM]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", LGSSM)
 def test_every_lgssm_physics_trains_for_two_epochs(tmp_path, physics):
     small = ["data.generated=true", "data.realisations=3", "data.n_train=130", "data.n_validation=50", "data.n_test=90"]
     overrides = ["+experiment=lgssm", f"physics={physics}", "model=pg_fcssnn", *small, *QUICK, "n_seeds=1"]

@@ -5,7 +5,6 @@ import json
 import re
 import shlex
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -123,22 +122,9 @@ def test_every_module_in_the_text_can_be_imported():
 CHEAP = {"network_epochs": 0, "folds": 2, "draws": 99, "starts": 1, "most": 1, "block": 20}
 
 
-def found_without_searching(physics: pg.Physics, train: Record, test: Record) -> SimpleNamespace:
-    """A stub: discovery takes minutes, the other lines of the block need no more than what it returns."""
-    assert isinstance(test, Record)
-    gap = {"before": {"test": 1.0}, "after": {"test": 0.5}}
-    effect = SimpleNamespace(name="pump_saturation")
-    return SimpleNamespace(
-        verdict="effect_found",
-        effects=[effect],
-        gap=gap,
-        physics=pg.add(physics.variant(clamp=False), effect.name, voltage=5.0),
-    )
-
-
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["stub", "discovers"])
-def test_the_first_python_block_runs_as_written(monkeypatch, whole):
-    """Generated records, one seed, two epochs; `whole`: with a real, cheap discovery."""
+@pytest.mark.slow
+def test_the_first_python_block_runs_as_written(monkeypatch):
+    """Generated records, one seed, two epochs, a cheap discovery."""
     load, fit, discover = pg.load_benchmark, pg.fit, pg.discover
 
     def generated(name: str) -> tuple[Record, Record]:
@@ -147,8 +133,7 @@ def test_the_first_python_block_runs_as_written(monkeypatch, whole):
 
     monkeypatch.setattr(pg, "load_benchmark", generated)
     monkeypatch.setattr(pg, "fit", lambda *given: fit(*given, seeds=1, epochs=2, hidden=3, folds=0, quiet=True))
-    cheap = (lambda *given: discover(*given, **CHEAP, quiet=True)) if whole else found_without_searching
-    monkeypatch.setattr(pg, "discover", cheap)
+    monkeypatch.setattr(pg, "discover", lambda *given: discover(*given, **CHEAP, quiet=True))
     said: dict = {}
     exec(compile(FIRST, "README.md", "exec"), said)
     assert said["found"].verdict in set(Verdict)
@@ -157,7 +142,7 @@ def test_the_first_python_block_runs_as_written(monkeypatch, whole):
     table = said["ensemble"].score(said["test"])
     assert isinstance(table, pd.DataFrame)
     assert len(table) == 1
-    assert said["better"].physics.discovered is whole
+    assert said["better"].physics.discovered
     plt.close("all")
 
 
@@ -174,6 +159,7 @@ def pendulum_csv(path, physics, samples: int, seed: int):
     pd.DataFrame(columns).to_csv(path, index=False)
 
 
+@pytest.mark.slow
 def test_the_own_physics_example_trains_on_own_data(tmp_path):
     (tmp_path / "my_physics.py").write_text(EXAMPLE)
     namespace: dict = {}

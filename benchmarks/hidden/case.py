@@ -1,6 +1,6 @@
 """One hidden-effect case: what is in the data, what the tool may know, and the data.
 
-y = reading of a simulated plant with the effects `truth` + e,   e ~ N(0, noise²)
+y = reading of a simulated plant with the effects `truth` + e,   e: noise of standard deviation `noise` (`noise.py`)
 floor = RMS(y_test - noise-free reading),   change = RMS(noise-free reading - that of the plant without effects)
 """
 
@@ -11,16 +11,17 @@ from jaxtyping import Float
 
 from pgrssnn_jax.records.record import Record, RecordInfo, record
 
-SYSTEMS = ("tanks", "lgssm", "arm", "pendulum")  # their order is part of the seeds
+SYSTEMS = ("tanks", "lgssm", "arm", "pendulum", "servo", "duffing", "chain")  # their order is part of the seeds
 
 
 class Case(NamedTuple):
     """truth: names of the effects in the data, () for none; accepted: per name of truth, the names that are right.
     removed: names that the catalogue must be deprived of, so that truth comes out as unknown. magnitudes: sizes of the
     effects, the plant's true parameters and its state at the start of both records. noise: standard deviation, in the
-    unit of the output. physics: keyword arguments of the nominal base physics, which is wrong by its parameters too.
-    change: what the effects do to the test output, before any refit (for the arm: RMSE of the true parameters without
-    the effects under the recorded torque).
+    unit of the output; noise_kind: one of `noise.KINDS`. physics: keyword arguments of the nominal base physics, which
+    is wrong by its parameters too. change: what the effects do to the test output, before any refit (for the arm: RMSE
+    of the true parameters without the effects under the recorded torque). units: what inputs and outputs
+    of the simulator were multiplied by.
     """
 
     system: str
@@ -35,6 +36,8 @@ class Case(NamedTuple):
     test: Record
     floor: float
     change: float
+    noise_kind: str = "white"
+    units: tuple[float, float] = (1.0, 1.0)
 
 
 class Catalogue(NamedTuple):

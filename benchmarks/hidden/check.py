@@ -17,7 +17,7 @@ from pgrssnn_jax.physics.linear import lgssm as linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 from . import arm as hidden_arm
-from . import lgssm, pendulum, tanks
+from . import chain, duffing, lgssm, pendulum, servo, tanks
 from .case import SYSTEMS, Case
 from .suite import KINDS, build, plans
 
@@ -27,6 +27,7 @@ def main() -> None:
     print("RMS of (case without effect - base physics), test record, unit of the output")
     exact_tanks()
     exact_pendulum()
+    exact_users()
     exact_linear()
     exact_arm()
     same_twice()
@@ -71,6 +72,13 @@ def exact_pendulum() -> None:
         print("pendulum", seed, f"{difference(case, physics, case.magnitudes['start'][1])[0]:.2g}")
 
 
+def exact_users() -> None:
+    for module, physics in ((servo, servo.servo), (duffing, duffing.duffing), (chain, chain.chain)):
+        case = module.build(0, noise=0.0)
+        found = difference(case, physics(**case.magnitudes["parameters"]), case.magnitudes["start"][1])
+        print(case.system, found.round(9))
+
+
 def exact_linear() -> None:
     case = lgssm.build(0, noise=0.0)
     print("lgssm", f"{difference(case, linear(**case.magnitudes['parameters']), case.magnitudes['start'][1])[0]:.2g}")
@@ -85,7 +93,7 @@ def exact_arm() -> None:
 
 def same_twice() -> None:
     """A case is a function of its seed; another noise changes nothing else."""
-    for module in (tanks, lgssm, pendulum, hidden_arm):
+    for module in (tanks, lgssm, pendulum, hidden_arm, servo, duffing, chain):
         name = next(iter(module.CATALOGUE.acts_on))
         quiet, again, loud = (module.build(7, (name,), noise=n) for n in (0.005, 0.005, 0.01))
         assert np.array_equal(quiet.train.y, again.train.y)

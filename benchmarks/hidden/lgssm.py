@@ -18,6 +18,7 @@ from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from .case import Case, Catalogue, measured, rms, streams
 from .draws import Quantile, either_sign, resolved, uniform
+from .noise import errors
 from .signals import low_pass, random_steps, standard
 
 CATALOGUE = Catalogue(
@@ -73,11 +74,15 @@ def build(
     truth: tuple[str, ...] = (),
     *,
     noise: float = 0.1,
+    noise_kind: str = "white",
     removed: tuple[str, ...] = (),
     process_noise: float = 0.0,
 ) -> Case:
-    """process_noise: standard deviation of w. Raises `ValueError` for an unknown effect."""
+    """process_noise: standard deviation of w, that of the noise where its kind is process.
+
+    Raises `ValueError` for an unknown effect."""
     CATALOGUE.check(truth)
+    process_noise = noise if noise_kind == "process" else process_noise
     rng = streams("lgssm", seed, "nominal effects input start noise process")
     draw = {k: v for name in truth for k, v in _draw(name, rng["effects"]).items()}
     inputs = [_input(rng["input"]) for _ in range(2)]
@@ -90,10 +95,8 @@ def build(
     plant = Plant(**sizes)
     pushes = [process_noise * rng["process"].standard_normal((SAMPLES, 2)) for _ in range(2)]
     clean = [linear_plant(plant, u, s, still) for u, s in zip(inputs, starts, strict=True)]
-    noisy = [
-        linear_plant(plant, u, s, w) + noise * rng["noise"].standard_normal(SAMPLES)
-        for u, s, w in zip(inputs, starts, pushes, strict=True)
-    ]
+    moved = [linear_plant(plant, u, s, w) for u, s, w in zip(inputs, starts, pushes, strict=True)]
+    noisy = [y + errors(rng["noise"], noise_kind, noise, y) for y in moved]
     info = RecordInfo((Channel("u"),), (Channel("y"),), 1.0, "simulated", f"linear system, {seed}")
     train, test = (measured(u[:, None], y[:, None], info) for u, y in zip(inputs, noisy, strict=True))
     physics = _nominal(rng["nominal"])
@@ -110,6 +113,7 @@ def build(
         test=test,
         floor=rms(noisy[1] - clean[1]),
         change=rms(clean[1] - linear_plant(Plant(), inputs[1], starts[1], still)),
+        noise_kind=noise_kind,
     )
 
 

@@ -19,6 +19,7 @@ from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from .case import Case, Catalogue, measured, rms, streams
 from .draws import Quantile, either_sign, resolved, uniform
+from .noise import errors
 from .pendulum_plant import GRAVITY, HISTORY, SAMPLE_TIME, SUB_STEPS, Plant, reading, swing
 from .signals import low_pass, random_steps, standard
 
@@ -33,6 +34,7 @@ CATALOGUE = Catalogue(
         "sensor_saturation": "sensor",
     },
     noises=(0.002, 0.005, 0.01),
+    identical={"input_offset": ("constant_force",)},
 )
 SAMPLES = 800
 NOMINAL = {"length": 1.0, "damping": 0.3, "dt": SAMPLE_TIME}  # m, 1/s, s
@@ -59,7 +61,14 @@ def pendulum(length: float = 1.0, damping: float = 0.3, dt: float = SAMPLE_TIME)
     )
 
 
-def build(seed: int, truth: tuple[str, ...] = (), *, noise: float = 0.005, removed: tuple[str, ...] = ()) -> Case:
+def build(
+    seed: int,
+    truth: tuple[str, ...] = (),
+    *,
+    noise: float = 0.005,
+    noise_kind: str = "white",
+    removed: tuple[str, ...] = (),
+) -> Case:
     """Raises `ValueError` for an unknown effect."""
     CATALOGUE.check(truth)
     rng = streams("pendulum", seed, "plant effects input start noise")
@@ -84,7 +93,7 @@ def build(seed: int, truth: tuple[str, ...] = (), *, noise: float = 0.005, remov
         sizes["y_bottom"] = -sizes["y_top"]
     plant = own._replace(**sizes)
     clean = [reading(plant, a) for a in angles]
-    noisy = [reading(plant, a, noise * rng["noise"].standard_normal(SAMPLES)) for a in angles]
+    noisy = [reading(plant, a, errors(rng["noise"], noise_kind, noise, y)) for a, y in zip(angles, clean, strict=True)]
     info = RecordInfo(
         (Channel("torque", "Nm"),), (Channel("angle", "rad"),), SAMPLE_TIME, "simulated", f"pendulum, {seed}"
     )
@@ -102,6 +111,7 @@ def build(seed: int, truth: tuple[str, ...] = (), *, noise: float = 0.005, remov
         test=test,
         floor=rms(noisy[1] - clean[1]),
         change=rms(clean[1] - swing(own, inputs[1], starts[1])),
+        noise_kind=noise_kind,
     )
 
 

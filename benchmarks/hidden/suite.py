@@ -12,11 +12,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import arm, lgssm, pendulum, tanks
+from . import arm, chain, duffing, lgssm, pendulum, servo, tanks, units
 from .case import SYSTEMS, Case, Catalogue
+from .noise import KINDS as NOISES
 
 KINDS = ("single", "double", "none", "removed")
-_MODULES = {"tanks": tanks, "lgssm": lgssm, "arm": arm, "pendulum": pendulum}
+_MODULES = {
+    "tanks": tanks,
+    "lgssm": lgssm,
+    "arm": arm,
+    "pendulum": pendulum,
+    "servo": servo,
+    "duffing": duffing,
+    "chain": chain,
+}
+_WITH_PROCESS_NOISE = ("lgssm", "servo", "duffing", "chain")
 _MOST = 1000  # cases of one suite: the seeds of two suites do not meet
 
 
@@ -27,22 +37,40 @@ class Plan(NamedTuple):
     truth: tuple[str, ...]
     removed: tuple[str, ...]
     noise: float
+    noise_kind: str = "white"
+    in_other_units: bool = False
 
 
 def build(plan: Plan) -> Case:
-    return _MODULES[plan.system].build(plan.seed, plan.truth, noise=plan.noise, removed=plan.removed)
+    more = {} if plan.system == "arm" else {"noise_kind": plan.noise_kind}
+    case = _MODULES[plan.system].build(plan.seed, plan.truth, noise=plan.noise, removed=plan.removed, **more)
+    return units.case_in(case, units.drawn(plan.system, plan.seed)) if plan.in_other_units else case
 
 
 def catalogue(system: str) -> Catalogue:
     return _MODULES[system].CATALOGUE
 
 
-def plans(system: str, count: int, seed: int, kinds: Sequence[str] = KINDS) -> list[Plan]:
-    """`count` plans in all, the kinds in turn. Raises `ValueError` for an unknown system or kind or a bad count."""
+def noises_of(system: str) -> tuple[str, ...]:
+    if system == "arm":
+        return ("white",)
+    return tuple(one for one in NOISES if one != "process" or system in _WITH_PROCESS_NOISE)
+
+
+def plans(
+    system: str, count: int, seed: int, kinds: Sequence[str] = KINDS, noises: Sequence[str] = ("white",)
+) -> list[Plan]:
+    """`count` plans in all, the kinds in turn; the first case of each has the first noise, or another by the seed.
+
+    Raises `ValueError` for an unknown system, kind or noise, or a bad count."""
     if system not in SYSTEMS:
         raise ValueError(f"hidden cases: system: expected one of {SYSTEMS}, found {system!r}")
     if not kinds or not set(kinds) <= set(KINDS):
         raise ValueError(f"hidden cases: kinds: expected some of {KINDS}, found {tuple(kinds)}")
+    known_noises = noises_of(system)
+    if not noises or not set(noises) <= set(NOISES):
+        raise ValueError(f"hidden cases: noises: expected some of {NOISES}, found {tuple(noises)}")
+    noises = [one for one in noises if one in known_noises]
     if not 0 <= count <= _MOST:
         raise ValueError(f"hidden cases: count: expected 0 to {_MOST}, found {count}")
     known = catalogue(system)
@@ -53,7 +81,8 @@ def plans(system: str, count: int, seed: int, kinds: Sequence[str] = KINDS) -> l
         kind = kinds[i % len(kinds)]
         truth, noise = next(decks[kind])
         removed = known.removed_with(truth[0]) if kind == "removed" else ()
-        found.append(Plan(system, seed * _MOST + i, kind, truth, removed, noise))
+        noise_kind = noises[(i // len(kinds) + seed) % len(noises)] if noises else "white"
+        found.append(Plan(system, seed * _MOST + i, kind, truth, removed, noise, noise_kind))
     return found
 
 

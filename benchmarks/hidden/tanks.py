@@ -15,6 +15,7 @@ from pgrssnn_jax.records.record import Channel, RecordInfo
 from . import tanks_effects
 from .case import Case, measured, rms, streams
 from .draws import Quantile, resolved
+from .noise import errors
 from .rig import HISTORY, REFERENCE_LEVEL, SAMPLE_TIME, Rig, Wave, flow, levels, reading
 from .signals import low_pass, multisine, random_steps, standard
 
@@ -35,6 +36,7 @@ def build(
     truth: tuple[str, ...] = (),
     *,
     noise: float = 0.02,
+    noise_kind: str = "white",
     removed: tuple[str, ...] = (),
     spread: float = _SPREAD,
 ) -> Case:
@@ -58,7 +60,10 @@ def build(
             break
     clean = [reading(rig, lower) for _, lower in found]
     without = levels(plant, inputs[1], starts[1], _COARSE)[1]
-    noisy = [reading(rig, lower, noise * rng["noise"].standard_normal(SAMPLES)) for _, lower in found]
+    noisy = [
+        reading(rig, lower, errors(rng["noise"], noise_kind, noise, y))
+        for (_, lower), y in zip(found, clean, strict=True)
+    ]
     info = RecordInfo(
         (Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), SAMPLE_TIME, "simulated", f"tanks, {seed}"
     )
@@ -80,6 +85,7 @@ def build(
         test=test,
         floor=rms(noisy[1] - clean[1]),
         change=rms(clean[1] - without),
+        noise_kind=noise_kind,
     )
 
 

@@ -48,9 +48,6 @@ def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
     settings = replace(settings, accelerate=settings.accelerate and config["accelerate"])
     if config["resume"] is not None:
         raise ValueError(f"resume: expected null, a discovery is started again, found {config['resume']!r}")
-    found = config["physics"].get("effects")
-    if found is not None:
-        raise ValueError(f"physics.effects: expected null, what is missing is to be found, found {found!r}")
     physics, train, test = load_experiment(config, lambda line: None)
     setup = set_up(
         physics, train, test, settings, settings_from_config(config),

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.locate import box, intervals
 from pgrssnn_jax.discovery.problem import Signals
-from pgrssnn_jax.discovery.workflow import Discovery
 from pgrssnn_jax.effects.base import Effect
 
 _INTERVALS = 50  # written, at most
@@ -16,17 +16,17 @@ _MEANT = 2.0  # standard deviations by which a joint's number must differ from n
 
 
 def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
-    problem, search = found.problem, found.found
-    effect, stage = problem.effect(name), search.stages[name]
-    numbers = problem.params(search.final.estimate.theta).effects[name]
-    std = problem.params(deviations(found)).effects[name]
-    own = next((c for c in stage.candidates if c.name == name), None)
-    runner = next((c for c in stage.candidates if c.name != name and c.validated), None)
+    problem, selection = found.problem, found.selection
+    effect, screening, final = problem.effect(name), selection.screenings[name], selection.final
+    numbers = problem.params(final.estimate.theta).effects[name]
+    std = problem.params(final.deviation).effects[name]
+    own = next((c for c in screening.candidates if c.name == name), None)
+    runner = next((c for c in screening.candidates if c.name != name and c.model), None)
     acting = _acting(found, effect, numbers)
-    gap = search.first.rms() - search.noise**0.5
+    gap = selection.first.rms() - selection.floor
 
     def closed(better: float) -> float:
-        return (stage.rms() - better) / gap if gap > 0 else 0.0
+        return (screening.rms() - better) / gap if gap > 0 else 0.0
 
     said: dict[str, Any] = {
         "name": name,
@@ -39,7 +39,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
             key: {
                 "value": np.asarray(numbers[key]).tolist(),
                 "std": np.asarray(std[key]).tolist(),
-                "interval": _interval(numbers[key], std[key], len(search.final.folds)),
+                "interval": interval(numbers[key], std[key], final.freedom),
                 "unit": meaning.unit,
                 "symbol": meaning.symbol,
                 "at_bound": at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
@@ -49,10 +49,10 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
         "region": _region(found, acting),
         "active_fraction": float(acting.sum() / within_record(found.signals).sum()),
         **when(acting, problem.physics.dt),
-        "p_value": stage.p_value(own) if own else None,
-        "gain_train": closed(search.last.rms()),
-        "gain_test": closed_on_test(found, found.without[name].error, found.test.after.error),
-        "runner_up": {"name": runner.name, "gain": closed(stage.rms(runner))} if runner else None,
+        "p_value": screening.p_value(own) if own else None,
+        "gain_train": closed(selection.last.rms()),
+        "gain_test": closed_on_test(found, found.test.without[name], found.test.after.error),
+        "runner_up": {"name": runner.name, "gain": closed(screening.rms(runner.model))} if runner else None,
         "command": command,
     }
     if effect.channels == "joint":
@@ -67,10 +67,9 @@ def closed_on_test(found: Discovery, error: float, better: float) -> float:
 
 
 def floor(found: Discovery) -> float:
-    """The noise in the figure of merit."""
-    relative = found.found.noise**0.5
-    scale = 1.0 if found.merit.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
-    return relative * scale
+    """The white noise in the metric."""
+    scale = 1.0 if found.test.metric.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
+    return found.selection.floor * scale
 
 
 def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:
@@ -80,9 +79,9 @@ def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> 
     return np.asarray(np.any([np.zeros_like(value, bool), *near], axis=0))
 
 
-def _interval(value: Any, std: Any, folds: int) -> list[Any]:
-    """95 % interval, lowest and highest, of an estimate whose deviation comes from so many folds (Student's t)."""
-    half = stats.t.ppf(0.975, folds - 1) * np.asarray(std)
+def interval(value: Any, std: Any, freedom: float) -> list[Any]:
+    """95 % interval, lowest and highest, of an estimate with so many degrees of freedom (Student's t)."""
+    half = stats.t.ppf(0.975, freedom) * np.asarray(std)
     return [(np.asarray(value) - half).tolist(), (np.asarray(value) + half).tolist()]
 
 
@@ -128,14 +127,3 @@ def _region(found: Discovery, acting: np.ndarray) -> str:
     physics = found.problem.physics
     values = np.concatenate([found.train.after.x[..., : len(physics.states)], found.signals.u], -1)
     return box(acting[within] * 1.0, values[within], (*physics.states, *physics.inputs)).rule.split(":")[0]
-
-
-def deviations(found: Discovery) -> np.ndarray:
-    """Standard deviations of θ from the fits without each fold (delete-a-group jackknife)."""
-    return jackknife(found.found.final.folds)
-
-
-def jackknife(folds: np.ndarray) -> np.ndarray:
-    """Standard deviation `[p]` from estimates `[fold, p]` that each leave one fold out; 0 for infinite limits."""
-    finite = np.where(np.isfinite(folds), folds, 0.0)
-    return np.sqrt((len(folds) - 1) / len(folds) * ((finite - finite.mean(0)) ** 2).sum(0))

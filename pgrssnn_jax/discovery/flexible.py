@@ -80,7 +80,9 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
 
     def initial_guesses(span: SignalRange) -> list[dict[str, Any]]:
         low, high = getattr(span, kind)[:, index]
-        return [{"c": np.zeros(KNOTS), "high": np.asarray(max(high, low + 1e-9)), "low": np.asarray(low)}]
+        if not high > low:
+            return []  # no curve over a signal that does not move
+        return [{"c": np.zeros(KNOTS), "high": np.asarray(high), "low": np.asarray(low)}]
 
     def correction(p: Any, value: jax.Array) -> jax.Array:
         return hats(value, p["low"], p["high"], p["c"])

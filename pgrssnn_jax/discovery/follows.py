@@ -41,6 +41,7 @@ def follows(
     samples = features.shape[0] * features.shape[1]
     columns, fold = features.reshape(samples, -1), signals.block.reshape(samples)
     left, whole = 0.0, 0.0
+    error = error - error.mean((0, 1))  # a constant follows nothing
     tried = np.concatenate([error[None], surrogates(error, _DRAWS, rng)])
     for j in range(error.shape[-1]):
         counted = ((signals.weight[..., j] > 0) & (signals.block >= 0)).reshape(samples)

@@ -28,22 +28,21 @@ from pgrssnn_jax.training.members import over_devices
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice
 _FEW = 4  # lanes per device: fewer take as long however they are compiled
+_TINY = 1e-30  # where neither the data nor a prior say anything of a number, it stays
 _GIVE_UP = 1e6  # damping at which no step is left
-_PRIOR = 1e-7  # of one squared scaled error per squared relative change: decides only what the data do not
 
 
 class Lanes(NamedTuple):
     """theta `[lane, p]` and x0 `[lane, seq, x]`: starting values; free `[lane, k]`: positions in θ that are fitted, -1
-    for an unused place; left_out `[lane]`: fold that does not count, -1 for none."""
+    for an unused place."""
 
     theta: Float[Array, "lane p"]
     x0: Float[Array, "lane seq x"]
     free: Int[Array, "lane k"]
-    left_out: Int[Array, " lane"]
 
 
 class Fitted(NamedTuple):
-    """cost: Σ (w e)² over the samples that count, with the prior; inf where the simulation is not finite."""
+    """cost: what is minimised, with the prior; inf where the simulation is not finite."""
 
     theta: Float[Array, "lane p"]
     x0: Float[Array, "lane seq x"]
@@ -51,7 +50,13 @@ class Fitted(NamedTuple):
 
 
 def fit(
-    problem: Problem, signals: Signals, lanes: Lanes, *, steps: int, tolerance: float = 1e-6, devices: int = 1
+    problem: Problem,
+    signals: Signals,
+    lanes: Lanes,
+    *,
+    steps: int,
+    tolerance: float = 1e-6,
+    devices: int = 1,
 ) -> Fitted:
     """At most `steps` steps per lane; a lane rests when its cost falls by less than `tolerance`, relative. Double
     precision."""
@@ -74,11 +79,10 @@ def simulate(problem: Problem, u: Array, theta: Array, x0: Array) -> tuple[np.nd
 
 
 class Limits(NamedTuple):
-    """Bounds of θ, the size of a relative change of it, what was given and its precision, each `[p]`."""
+    """Bounds of θ, what was given and its precision, each `[p]`."""
 
     low: Float[Array, " p"]
     high: Float[Array, " p"]
-    size: Float[Array, " p"]
     given: Float[Array, " p"]
     precision: Float[Array, " p"]
 
@@ -91,14 +95,14 @@ class StopRule(NamedTuple):
 
 
 def _limits(problem: Problem) -> Limits:
-    return Limits(problem.low, problem.high, problem.size, problem.theta, problem.precision)
+    return Limits(problem.low, problem.high, problem.theta, problem.precision)
 
 
 def _lanes_last(lanes: Lanes) -> tuple[jax.Array, jax.Array, jax.Array]:
     return jnp.asarray(lanes.theta).T, jnp.transpose(jnp.asarray(lanes.x0), (2, 1, 0)), jnp.asarray(lanes.free)
 
 
-def _worth_it(code: Code, devices: int, limits: Limits, stop_rule: StopRule, lanes: Lanes, *_: object) -> bool:
+def _worth_it(code: Code, devices: int, limits: Limits, rule: StopRule, lanes: Lanes, *_: object) -> bool:
     """Will a program of so many lanes, written out in numbers, make up for the time that it takes to compile well?"""
     if not code.accelerate:
         return True
@@ -145,13 +149,9 @@ def _fit_lanes(
 ) -> tuple[jax.Array, ...]:
     u, y, w = (time_first(a) for a in signals[:3])
     theta0, x0, free = _lanes_last(lanes)
-    counts = jnp.asarray(signals.block)[:, :, None] != jnp.asarray(lanes.left_out)[None, None]  # [seq, time, lane]
-    weight = w[..., None] * jnp.transpose(counts, (1, 0, 2))[:, None]  # [time, y, seq, lane]
-    low, high, size, given, known = (jnp.asarray(a)[:, None] for a in limits)
-    anchor, anchor_x = theta0, x0
+    weight = w[..., None]  # [time, y, seq, 1]
+    low, high, given, known = (jnp.asarray(a)[:, None] for a in limits)
     guessed = jnp.transpose(jnp.asarray(signals.start), (1, 0))[..., None]  # [x, seq, 1]
-    n = weight.shape[0] * weight.shape[1] * weight.shape[2]
-    prior = _PRIOR * n / size**2  # [p, 1]
     precision = jnp.transpose(jnp.asarray(signals.precision), (1, 0))[..., None]  # [x, seq, 1]
     dampings = _DAMPINGS if x0.shape[1] == 1 else _OF_MANY
     used = free >= 0
@@ -165,14 +165,10 @@ def _fit_lanes(
 
     def costs_of(theta: jax.Array, x0: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Of the numbers `[lane]`, and of every sequence with its start `[seq, lane]`."""
-        # unused places hold infinite neutral values, which an anchor difference would turn into NaN
-        moved = jnp.where(theta == anchor, 0.0, theta - anchor)
-        start = (_PRIOR * n * (x0 - anchor_x) ** 2 + precision * (x0 - guessed) ** 2).sum(0)
+        start = (precision * (x0 - guessed) ** 2).sum(0)
         by_sequence = (error**2).sum((0, 1)) + start
         from_given = jnp.where(known > 0, theta - given, 0.0)
-        return (prior * moved**2 + known * from_given**2).sum(0), jnp.where(
-            jnp.isfinite(by_sequence), by_sequence, jnp.inf
-        )
+        return (known * from_given**2).sum(0), jnp.where(jnp.isfinite(by_sequence), by_sequence, jnp.inf)
 
     def step(state: _State) -> _State:
         found, dy = with_derivatives(code, u, state.theta, state.x0, free)
@@ -214,7 +210,8 @@ def _fit_lanes(
             own, by_sequence = jax.vmap(tried)(theta, x0)
             return own + by_sequence[:, 0], x0, jnp.ones(by_sequence.shape, bool)
         kept = jnp.broadcast_to(state.x0[None], x0.shape)
-        own, by_sequence = jax.vmap(tried)(jnp.concatenate([theta, theta]), jnp.concatenate([x0, kept]))
+        both = jnp.concatenate([theta, theta]), jnp.concatenate([x0, kept])
+        own, by_sequence = jax.vmap(tried)(*both)
         with_move, without = jnp.split(by_sequence, 2)
         moved = with_move < without
         best = jnp.minimum(with_move, without).sum(1)
@@ -228,11 +225,10 @@ def _fit_lanes(
         direction = pull[..., :k].sum(0).T
         blocked = ((now <= lowest) & (direction < 0)) | ((now >= highest) & (direction > 0))
         moves = used & ~blocked.T  # [lane, k]
-        near, held = prior[place, 0].T, known[place, 0].T
-        back = near * (jnp.take_along_axis(anchor, place, 0) - now).T
-        back = back + jnp.where(held > 0, held * (given[place, 0] - now).T, 0.0)
+        held = known[place, 0].T
+        back = jnp.where(held > 0, held * (given[place, 0] - now).T, 0.0)
         back = jnp.where(used & jnp.isfinite(back), back, 0.0)
-        shift = jax.vmap(lambda d: _step(normal, pull, moves, near + held, back, state, d * state.damping))(
+        shift = jax.vmap(lambda d: _step(normal, pull, moves, held, back, state, d * state.damping))(
             jnp.asarray(dampings)
         )  # [trial, lane, k + seq s]
         delta, delta_x = shift[..., :k], shift[..., k:]
@@ -259,17 +255,17 @@ def _fit_lanes(
         mask = jnp.where(moves, 1.0, 0.0)
         local = normal[..., k:, k:]
         starts = jnp.asarray(by_start(code))
-        held = _PRIOR * n + (starts.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
+        held = _TINY + (starts.T @ precision[..., 0]).T[:, None, :, None]  # [seq, 1, s, 1]
         damped = (damping[None] * state.held)[..., None, None]
         local = local + jnp.where(identity_like(local) > 0, damped * local + held, 0.0)
-        back_x = _PRIOR * n * (anchor_x - state.x0) + precision * (guessed - state.x0)
+        back_x = precision * (guessed - state.x0)
         back_x = jnp.einsum("xs,xql->qls", starts, back_x)
         cross = normal[..., :k, k:] * mask[None, :, :, None]
         pull_x = pull[..., k:] + back_x
         solved = solve(local, jnp.concatenate([jnp.swapaxes(cross, -1, -2), pull_x[..., None]], -1))
         whole = normal[..., :k, :k].sum(0) * mask[:, :, None] * mask[:, None, :]
         diagonal = jnp.diagonal(whole, axis1=-2, axis2=-1)
-        extra = damping[:, None] * diagonal + jnp.where(moves, own, 1.0) + 1e-30
+        extra = damping[:, None] * diagonal + jnp.where(moves, own, 1.0) + _TINY
         whole = whole + extra[:, :, None] * identity_like(whole) - (cross @ solved[..., :-1]).sum(0)
         right = mask * (pull[..., :k].sum(0) + back) - (cross @ solved[..., -1:])[..., 0].sum(0)
         delta = solve(whole, right[..., None])[..., 0]

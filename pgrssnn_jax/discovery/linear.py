@@ -15,14 +15,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, Validated, evaluate, fit_all, signal_range_of
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, size_and_noise
+from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
-from pgrssnn_jax.discovery.look import Candidate, Rules, Stage, chance, size_and_noise
 from pgrssnn_jax.discovery.noise import surrogates
+from pgrssnn_jax.discovery.null import nats, null_of
 from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.settings import Criteria
 
 _CHUNK = 24  # numbers in one linearisation
-DRAWS = 200  # of the null, at most
+DRAWS = 200  # of the null, at most: every draw is a fit
 _FINALISTS = 4  # candidates that are fitted properly
 _BEYOND_REACH = 1.5  # times the best cost that was reached: candidates whose promise is above it are not fitted
 _HOPELESS = 0.2  # p-value of what its linear step promises, above which a candidate is not fitted
@@ -43,81 +45,95 @@ class Reduced(NamedTuple):
     high: Float[np.ndarray, " k"]
 
 
-def look_linear(
+def score_linearised(
     problem: Problem,
-    cuts: Sequence[Signals],
-    base: Guess | Validated,
+    segments: Sequence[Signals],
+    base: Guess | Model,
     settings: Settings,
-    rules: Rules,
+    criteria: Criteria,
     rng: np.random.Generator,
     without: Sequence[str],
     *,
     whole: Signals,
-) -> Stage:
-    """As `look.look_at`: candidates are ranked by one linear step each, and the best are then fitted properly.
+) -> Screening:
+    """As `candidates.score_candidates`: candidates are ranked by one linear step each, and the best are then fitted.
 
-    cuts: stretches from short to long, one more for every effect that is there; whole: sequences uncut, with their
-    starts, for the free run that has the last word.
+    segments: from short to long, one more for every effect that is there; whole: sequences uncut, with their starts,
+    for the free run that has the last word.
     """
-    known = base if isinstance(base, Validated) else None
-    base = base.guess if isinstance(base, Validated) else base
-    signals = cuts[min(len(base.active), len(cuts) - 1)]
-    if known is None:
-        if base.x0.shape != signals.start.shape:
-            base = base._replace(x0=signals.start)
-        ((base, _),) = fit_all(problem, signals, [base], settings)
-    own = np.concatenate([problem.of(name) for name in (None, *base.active)])
-    own = own[np.isfinite(base.theta[own])]
-    reference = known or left_out(problem, signals, base, own)
-    noise = surrogates(reference.estimate.error, min(rules.draws, DRAWS), rng).astype(np.float32)
-    cost, promises, falls = _promised(problem, signals, base, own, without, noise)
-    hopeful = [c for c in promises[:_FINALISTS] if chance(falls, c.gain) <= _HOPELESS]
+    known = base if isinstance(base, Model) else None
+    guess = base.estimate.guess if isinstance(base, Model) else base
+    signals = segments[min(len(guess.active), len(segments) - 1)]
+    if known is None or guess.x0.shape != signals.start.shape:
+        if guess.x0.shape != signals.start.shape:
+            guess = guess._replace(x0=signals.start)
+        ((guess, _),) = fit_all(problem, signals, [guess], settings)
+        known = None
+    own = np.concatenate([problem.of(name) for name in (None, *guess.active)])
+    own = own[np.isfinite(guess.theta[own])]
+    reference = known or segment_model(problem, signals, guess, own, whole)
+    noise = surrogates(reference.estimate.error, min(criteria.draws, DRAWS), rng).astype(np.float32)
+    size, _ = size_and_noise(signals, [reference])
+    cost, promises, falls = _promised(problem, signals, guess, own, without, noise)
+    null = null_of({name: nats(fall, size) for name, fall in falls.items()})
+    promises = [c._replace(gain=float(nats(c.gain, size))) for c in promises]
+    hopeful = [c for c in promises[:_FINALISTS] if null.p_value(c.name, c.gain) <= _HOPELESS]
     found = [c for c in promises if c.name not in {h.name for h in hopeful}]
     best = np.inf
     for i in range(0, len(hopeful), settings.lanes):
         several = hopeful[i : i + settings.lanes]
-        if (1.0 - several[0].gain) * cost > _BEYOND_REACH * best:
+        if np.exp(-2.0 * several[0].gain / size) * cost > _BEYOND_REACH * best:
             found += hopeful[i:]
             break
         for fitted, reached in fit_all(problem, signals, [c.guess for c in several], settings):
             name, best = fitted.active[-1], min(best, reached)
             more = problem.of(name)
             places = np.concatenate([own, more[np.isfinite(fitted.theta[more])]])
-            validated = left_out(problem, signals, fitted, places)
-            found.append(Candidate(name, 1.0 - reached / cost, validated, fitted, _free_run(problem, whole, fitted)))
-    ordered = tuple(sorted(found, key=lambda c: (c.cost, -c.gain)))
-    tried = [reference, *(c.validated for c in ordered if c.validated)]
-    return Stage(reference, ordered, falls, {}, *size_and_noise(signals, tried), _free_run(problem, whole, base))
+            model = segment_model(problem, signals, fitted, places, whole)
+            found.append(Candidate(name, float(nats(1.0 - reached / cost, size)), fitted, model))
+    ordered = tuple(sorted(found, key=lambda c: (-c.score, -c.gain)))
+    tried = [reference, *(c.model for c in ordered if c.model)]
+    return Screening(reference, ordered, null, {}, *size_and_noise(signals, tried))
 
 
 def _promised(
     problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str], noise: np.ndarray
-) -> tuple[float, list[Candidate], np.ndarray]:
-    """Cost of the base, what one linear step promises of every candidate, the best first, and the largest gain in each
-    draw of noise `[draw, seq, time, y]`, sorted."""
+) -> tuple[float, list[Candidate], dict[str, np.ndarray]]:
+    """Cost of the base, what one linear step promises of every candidate, the best first, and the fall that each brings
+    in every draw of noise `[draw, seq, time, y]`."""
     fold = signals.block[:, 0]
     noise = noise.reshape(len(noise), len(fold), -1)
     energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
     best: dict[str, tuple[float, Guess]] = {}
-    falls = np.zeros(len(noise))
+    falls: dict[str, np.ndarray] = {}
     (alone,) = _linearised(problem, signals, base, [own], own)
     cost, _, _ = _solve(alone, fold)
     for guess, reduced in _candidates(problem, signals, base, own, without):
         left, _, _ = _solve(reduced, fold)
-        falls = np.maximum(falls, _fall(reduced, noise, len(own)) / energy)
-        if guess.active[-1] not in best or left < best[guess.active[-1]][0]:
-            best[guess.active[-1]] = (left, guess)
+        name, fall = guess.active[-1], _fall(reduced, noise, len(own)) / energy
+        falls[name] = np.maximum(falls.get(name, 0.0), fall)
+        if name not in best or left < best[name][0]:
+            best[name] = (left, guess)
     ranked = sorted(best.items(), key=lambda item: item[1][0])
-    return cost, [Candidate(name, 1.0 - left / cost, None, guess) for name, (left, guess) in ranked], np.sort(falls)
+    return cost, [Candidate(name, 1.0 - left / cost, guess) for name, (left, guess) in ranked], falls
 
 
-def left_out(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray) -> Validated:
-    """Left-out errors of a fitted model, and its numbers without each fold, by its own linearisation."""
+def segment_model(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray, whole: Signals) -> Model:
+    """A fitted model, scored by its own linearisation; sequences are its blocks, and standard errors are over them."""
     (reduced,) = _linearised(problem, signals, fitted, [places], places)
-    _, held_out, folds = _solve(reduced, signals.block[:, 0])
-    theta = np.repeat(fitted.theta[None], len(folds), 0)
-    theta[:, reduced.places] += folds
-    return Validated(evaluate(problem, signals, fitted), np.sqrt(held_out)[:, None, None], theta)
+    fold = signals.block[:, 0]
+    _, held_out, _ = _solve(reduced, fold)
+    normal = reduced.normal.sum(0)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-10, hermitian=True) / size / size[:, None]
+    pulls = np.stack([reduced.pull[fold == f].sum(0) for f in range(int(fold.max()) + 1)])
+    meat = len(pulls) / max(len(pulls) - 1, 1) * pulls.T @ pulls
+    deviation = np.zeros(len(fitted.theta))
+    deviation[reduced.places] = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
+    counts = np.full(len(held_out), signals.y[0].size)
+    free_run = _free_run(problem, whole, fitted)
+    estimate = evaluate(problem, signals, fitted)
+    return Model(estimate, held_out, counts, deviation, max(len(pulls) - 1.0, 1.0), free_run)
 
 
 def _free_run(problem: Problem, whole: Signals, guess: Guess) -> float:
@@ -165,10 +181,7 @@ def _linearised(
     numbers = np.unique(np.concatenate([own, *wanted]).astype(int))
     count = max(1, -(-len(numbers) // _CHUNK))
     padded = np.pad(numbers, (0, count * _CHUNK - len(numbers)), constant_values=-1).reshape(count, _CHUNK)
-    alone = np.array([-1])
-    runs = [
-        sensitivity(problem, signals, Lanes(guess.theta[None], guess.x0[None], chunk[None], alone)) for chunk in padded
-    ]
+    runs = [sensitivity(problem, signals, Lanes(guess.theta[None], guess.x0[None], chunk[None])) for chunk in padded]
     blocks = [np.where(np.isfinite(dy[0]), dy[0], 0.0) for _, dy in runs]
     weight = signals.weight[..., None]
     n_seq = len(signals.u)

@@ -103,7 +103,7 @@ def signal_map(
     """Mean and standard error of the correction per cell over the samples that count; the error counts visits, not
     samples, because neighbouring samples tell the same."""
     ends = [(s[counts].min(), s[counts].max()) for s in (a, b)]
-    edges = [np.linspace(low, high + 1e-9 * (1.0 + abs(high)), _CELLS + 1) for low, high in ends]
+    edges = [np.linspace(low, high + 1e-9 * max(abs(low), abs(high), 1e-300), _CELLS + 1) for low, high in ends]
     place = [np.clip(np.searchsorted(e, s, "right") - 1, 0, _CELLS - 1) for e, s in zip(edges, (a, b), strict=True)]
     cell = place[0] * _CELLS + place[1]
     begins = np.ones(cell.shape, bool)

@@ -1,13 +1,16 @@
 """What cannot be explained: the size of the noise, and errors that look like those seen but mean nothing.
 
     floor² = mean (e_{t+1} - 2 e_t + e_{t-1})² / 6        white noise; what varies slowly cancels
-    surrogate = error with its spectrum kept and its phases drawn anew
-Source of the second: Theiler et al., Testing for nonlinearity in time series: the method of surrogate data, 1992.
+    surrogate = A(z)⁻¹ s_t A(z) e_t,  s_t = ±1        colour and size kept, where they occur; meaning lost
+Source of the second: wild bootstrap, Wu, Annals of Statistics 14, 1986.
 """
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from scipy.signal import lfilter
 
+ORDER = 4  # of A: AR(4) follows white, AR(1) and low-pass filtered noise and the poles of second-order systems
+_STABLE = 0.999  # largest modulus of a pole of 1 / A
 _TRIM = 0.02  # share of the largest second differences left out: steps of the input that a model does not follow
 
 
@@ -26,10 +29,40 @@ def noise_floor(error: Float[np.ndarray, "seq time y"], weight: Float[np.ndarray
 def surrogates(
     error: Float[np.ndarray, "seq time y"], draws: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "draw seq time y"]:
-    """Errors with the same spectrum and random phases, the same phases for all outputs of a sequence."""
-    n = error.shape[1]
-    spectrum = np.fft.rfft(error, axis=1)
-    phases = rng.uniform(0.0, 2.0 * np.pi, (draws, error.shape[0], spectrum.shape[1], 1))
-    phases[:, :, 0] = np.pi * rng.integers(0, 2, phases[:, :, 0].shape)  # the mean stays real
-    turned = spectrum[None] * np.exp(1j * phases)
-    return np.fft.irfft(turned, n=n, axis=2)
+    """Errors of the same colour that mean nothing."""
+    filters = np.stack([autoregression(error[..., j]) for j in range(error.shape[2])])
+    innovations = np.stack([lfilter(f, [1.0], error[..., j], axis=-1) for j, f in enumerate(filters)], -1)
+    return recoloured(innovations, filters, draws, rng)
+
+
+def recoloured(
+    innovations: Float[np.ndarray, "seq time y"],
+    filters: Float[np.ndarray, "y lag"],
+    draws: int,
+    rng: np.random.Generator,
+) -> Float[np.ndarray, "draw seq time y"]:
+    """A(z)⁻¹ s_t ε_t; outputs keep what they have in common, and all what they have at neighbouring times in size."""
+    signs = rng.integers(0, 2, (draws, *innovations.shape[:2])) * 2.0 - 1.0
+    return np.stack([lfilter([1.0], f, signs * innovations[..., j], axis=-1) for j, f in enumerate(filters)], -1)
+
+
+def autoregression(
+    error: Float[np.ndarray, "seq time"], measured: Bool[np.ndarray, "seq time"] | None = None, order: int = ORDER
+) -> Float[np.ndarray, " lag"]:
+    """1, -a_1, ..., -a_p of the likeliest stationary autoregression, from samples whose predecessors were measured."""
+    time = error.shape[1]
+    lagged = np.stack([error[:, order - k : time - k].ravel() for k in range(order + 1)])
+    if measured is not None:
+        whole = np.stack([measured[:, order - k : time - k].ravel() for k in range(order + 1)]).all(0)
+        lagged = lagged[:, whole]
+    products = lagged @ lagged.T
+    past = products[1:, 1:] + 1e-10 * (products[0, 0] + 1e-300) * np.eye(order)
+    filters = np.concatenate([[1.0], -np.linalg.solve(past, products[1:, 0])])
+    largest = np.abs(np.roots(filters)).max(initial=0.0)
+    return filters if largest <= _STABLE else filters * (_STABLE / largest) ** np.arange(len(filters))
+
+
+def correlation_time(filters: Float[np.ndarray, " lag"]) -> float:
+    """Σ_k ρ_k of an autoregression, in samples, 1 for white noise: so many samples tell as much as one."""
+    response = np.asarray(lfilter([1.0], filters, np.eye(1, 4096)[0]))
+    return float(max(response.sum() ** 2 / (response**2).sum(), 1.0))

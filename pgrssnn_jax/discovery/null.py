@@ -1,125 +1,108 @@
 """How much the best of the whole catalogue gains by luck alone.
 
-Under the null the present model is right and its errors are noise of the spectrum seen. The fit of a candidate is then
-linear about its starting values: an error e falls by ‖Qᵀ e‖², Q an orthonormal basis of what the candidate adds to the
-free run (its displacement at the start and the derivatives by its numbers there) once everything that is free anyway
-has been taken out. The law is that of the largest fall over all candidates and starts, relative to ‖e‖².
-Source: Davies, Hypothesis testing when a nuisance parameter is present only under the alternative, 1987.
+Under the null the present model is right, and its innovations might as well have had the other sign:
+
+    e*_t = A(z)⁻¹ s_t ε_t,  s_t = ±1        gain = ½ n log(‖e*‖² / ‖e* - Q Qᵀ e*‖²)
+
+which keeps the colour of the noise and when it is large. Q: orthonormal basis of what a candidate adds to the free run
+at one start (its displacement and the derivatives by its numbers) beside all that is free anyway. Slow noise looks like
+slow effects, so every effect is measured by what it gains on average by luck; the largest ratio over all effects and
+starts pays for every look. Sources: wild bootstrap, Wu, Annals of Statistics 14, 1986; maximum over
+a catalogue, White, Econometrica 68, 2000; start at which a number means nothing, Davies, Biometrika 74, 1987.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
+from scipy import stats
 
-from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, free_places
-from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
-from pgrssnn_jax.discovery.noise import surrogates
-from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.likelihood import Linearisation, Noise
+from pgrssnn_jax.discovery.noise import recoloured
 
 _AT_ONCE = 1_000_000  # samples of noise held in memory
-_RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
+_WORK = 20_000_000  # samples of noise in all: of long records fewer draws are made
+_LEAST = 0.05  # nats: fits end that near to their optimum, so less is no gain
 _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is rounding
 
 
-class Added(NamedTuple):
-    """What a candidate at one start adds to the free run: basis Q `[seq · time · y, m]` of it, without what is free
-    anyway, as far as its precision lets it be; moved and left: energy of its displacement before and after all of that
-    was taken out."""
+class Null(NamedTuple):
+    """Of the best effect by luck alone. law `[draw]`: least p-value of any effect, sorted; shape, scale: gamma
+    distribution of the gain of every effect, nats."""
 
-    basis: Float[np.ndarray, "n m"]
-    moved: float
-    left: float
+    law: Float[np.ndarray, " draw"]
+    shape: Mapping[str, float]
+    scale: Mapping[str, float]
+
+    def p_value(self, name: str, gain: float) -> float:
+        """Probability that any effect is as unlikely by luck."""
+        alone = stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
+        return float((1 + (self.law <= alone).sum()) / (1 + len(self.law)))
+
+    def gains(self, name: str) -> Float[np.ndarray, " draw"]:
+        """The law in the gains of one effect."""
+        return np.asarray(stats.gamma.isf(np.exp(self.law), self.shape[name], scale=self.scale[name]))
 
 
-def null_law(
-    current: Estimate,
-    weight: Float[np.ndarray, "seq time y"],
-    added: Sequence[Added],
+def null_of(gains: Mapping[str, Float[np.ndarray, " draw"]]) -> Null:
+    """From the gains of every effect by luck, in the same draws."""
+    mean = {name: max(float(own.mean()), _LEAST) for name, own in gains.items()}
+    shape = {name: mean[name] ** 2 / max(float(own.var()), _LEAST**2) for name, own in gains.items()}
+    scale = {name: mean[name] / shape[name] for name in gains}
+    alone = [stats.gamma.logsf(own, shape[name], scale=scale[name]) for name, own in gains.items()]
+    return Null(np.sort(np.min(alone, 0)) if alone else np.zeros(1), shape, scale)
+
+
+def null_distribution(
+    at: Linearisation,
+    noise: Noise,
+    added: Sequence[tuple[str, Float[np.ndarray, "n _"]]],
     draws: int,
+    least: int,
     rng: np.random.Generator,
-) -> Float[np.ndarray, " draw"]:
-    """Relative fall of Σ (w e)² by the best candidate, one value per draw, sorted."""
-    bases = [a.basis for a in added if a.basis.shape[1]]
-    if not bases:
-        return np.zeros(draws)
-    law: list[np.ndarray] = []
-    at_once = max(1, _AT_ONCE // current.error.size)
+) -> Null:
+    """added: name of an effect and its columns at one start, samples in one row; least: draws that are always made."""
+    n, k = at.error.size, at.columns.shape[-1]
+    measured = at.measured.ravel()
+    prior = np.diag(np.sqrt(at.precision))
+    nuisance = orthonormal(np.concatenate([at.columns.reshape(n, k) * measured[:, None], prior]))
+    bases = []
+    for _, columns in added:
+        longer = np.concatenate([columns * measured[:, None], np.zeros((k, columns.shape[1]))])
+        rest = beside(longer, nuisance)
+        size = np.linalg.norm(longer, axis=0)
+        bases.append(orthonormal(rest[:, np.linalg.norm(rest, axis=0) > _NEGLIGIBLE * size])[:n].astype(np.float32))
+    nuisance = nuisance[:n].astype(np.float32)
+    draws = max(min(draws, _WORK // n), least)
+    found: dict[str, list[np.ndarray]] = {name: [] for name, _ in added}
+    at_once = max(1, _AT_ONCE // n)
     for i in range(0, draws, at_once):
-        noise = surrogates(current.error, min(at_once, draws - i), rng)
-        noise = np.where(weight > 0, noise, 0.0).reshape(len(noise), -1)
-        energy = np.maximum((noise**2).sum(1), 1e-300)
-        law.append(np.max([((noise @ basis) ** 2).sum(1) / energy for basis in bases], 0))
-    return np.sort(np.concatenate(law))
+        drawn = recoloured(noise.innovations, noise.filters, min(at_once, draws - i), rng)
+        drawn = (drawn.reshape(len(drawn), n) * measured).astype(np.float32)
+        drawn = drawn - (drawn @ nuisance) @ nuisance.T
+        energy = np.maximum((drawn**2).sum(1), 1e-30)
+        best = {name: np.zeros(len(drawn)) for name in found}
+        for (name, _), basis in zip(added, bases, strict=True):
+            best[name] = np.maximum(best[name], ((drawn @ basis) ** 2).sum(1) / energy)
+        for name, fall in best.items():
+            found[name].append(nats(fall, int(measured.sum())))
+    return null_of({name: np.concatenate(parts) for name, parts in found.items()})
 
 
-def what_is_added(
-    problem: Problem, signals: Signals, current: Estimate, guesses: Sequence[Guess], settings: Settings
-) -> list[Added]:
-    """Of every guess, at its starting values beside the present numbers of everything else."""
-    here = current.guess
-    everyone = [here, *guesses]
-    everyone += [here] * (settings.lanes - len(everyone) % settings.lanes)
-    places = free_places(problem, everyone, settings)
-    y, dy = [], []
-    for i in range(0, len(everyone), settings.lanes):
-        part = everyone[i : i + settings.lanes]
-        lanes = Lanes(
-            np.stack([g.theta for g in part]),
-            np.stack([g.x0 for g in part]),
-            places[i : i + settings.lanes],
-            np.full(len(part), -1),
-        )
-        found = sensitivity(problem, signals, lanes)
-        y.append(found[0])
-        dy.append(found[1])
-    outputs, columns = np.concatenate(y), np.concatenate(dy)
-    weight = signals.weight.ravel()
-    n = weight.size
-    k = places.shape[1]
-    nuisance = _starts_apart(columns[0], k) * weight[:, None]
-    taken_up = _orthonormal(nuisance)
-    held = _orthonormal(np.concatenate([nuisance, _held(problem, places[0], nuisance.shape[1])]))
-    found = []
-    for i in range(1, len(guesses) + 1):
-        own = [j for j, p in enumerate(places[i]) if p >= 0 and p not in places[0]]
-        added = np.concatenate([(outputs[i] - outputs[0]).reshape(n, 1), columns[i].reshape(n, -1)[:, own]], 1)
-        added = np.where(np.abs(added) < _RUN_AWAY, added, 0.0) * weight[:, None]
-        size = np.linalg.norm(added, axis=0)
-        left = _beside(added, taken_up)
-        longer = _beside(np.concatenate([added, np.zeros((k, added.shape[1]))]), held)
-        keep = np.linalg.norm(longer, axis=0) > _NEGLIGIBLE * np.where(size > 0, size, 1.0) + 1e-12
-        basis = _orthonormal(longer[:, keep])[:n]
-        found.append(Added(basis, float(size[0] ** 2), float(np.linalg.norm(left[:, 0]) ** 2)))
-    return found
+def nats(fall: Any, n: int) -> Any:
+    """Gain of log-likelihood that a relative fall of the error energy of n samples is."""
+    return -0.5 * n * np.log(np.maximum(1.0 - fall, 1e-12))
 
 
-def _held(problem: Problem, places: Int[np.ndarray, " k"], columns: int) -> Float[np.ndarray, "k n"]:
-    """What was given, as further samples: a shift of a number costs its precision times its square."""
-    precision = np.where(places >= 0, problem.precision[places], 0.0)
-    return np.diag(np.sqrt(precision)) @ np.eye(len(places), columns)
-
-
-def _beside(columns: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n d"]:
+def beside(columns: Float[np.ndarray, "n d"], basis: Float[np.ndarray, "n m"]) -> Float[np.ndarray, "n d"]:
     return columns - basis @ (basis.T @ columns)
 
 
-def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "n m"]:
-    """Derivatives by θ as they are, and one set of columns for the initial state of every sequence."""
-    n_seq = len(dy)
-    flat = dy.reshape(n_seq, -1, dy.shape[-1])
-    shared = flat[..., :k].reshape(-1, k)
-    local = np.zeros((n_seq, flat.shape[1], n_seq, dy.shape[-1] - k))
-    for i in range(n_seq):
-        local[i, :, i] = flat[i, :, k:]
-    return np.concatenate([shared, local.reshape(len(shared), -1)], 1)
-
-
-def _orthonormal(columns: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n m"]:
+def orthonormal(columns: Float[np.ndarray, "n d"]) -> Float[np.ndarray, "n m"]:
     """Basis of the columns' span without directions that are only rounding."""
     size = np.linalg.norm(columns, axis=0)
-    columns = columns[:, size > 1e-12]
+    columns = columns[:, size > 1e-300]
     if not columns.shape[1]:
         return columns
     u, s, _ = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), full_matrices=False)

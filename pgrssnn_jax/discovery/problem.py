@@ -52,8 +52,8 @@ class Code:
 @dataclass(frozen=True, eq=False)
 class Problem:
     """What does not change during a discovery. slots: one per number of θ; theta: the nominal physics, effects
-    neutral; size: of a relative change; precision: of the nominal physics, for unit variance of the weighted errors
-    (0: nothing is held); code: shared by problems that differ in numbers alone (`with_numbers`)."""
+    neutral; precision: of the nominal physics (0: nothing is held), where the weighted errors have the variance noise;
+    code: shared by problems that differ in numbers alone (`with_numbers`)."""
 
     physics: Physics
     code: Code
@@ -62,8 +62,8 @@ class Problem:
     theta: Float[np.ndarray, " p"]
     low: Float[np.ndarray, " p"]
     high: Float[np.ndarray, " p"]
-    size: Float[np.ndarray, " p"]
     precision: Float[np.ndarray, " p"]
+    noise: float = 1.0
 
     @property
     def full(self) -> Physics:
@@ -75,8 +75,7 @@ class Problem:
         whole = _double(_with_known(self.full.params, params))
         theta = np.asarray(ravel_pytree(whole)[0], np.float64)
         low, high = _bounds(whole, self.slots)
-        size, free = _size(theta), np.zeros(len(theta))
-        return replace(self, physics=physics, theta=theta, low=low, high=high, size=size, precision=free)
+        return replace(self, physics=physics, theta=theta, low=low, high=high, precision=np.zeros(len(theta)))
 
     def held(self, tolerance: float, noise: float) -> "Problem":
         """The same problem whose physics is known by a prior: the relative standard deviation of what was
@@ -87,7 +86,7 @@ class Problem:
             places = [i for i, slot in enumerate(self.slots) if slot.path == path]
             deviation[places] = tolerance * np.abs(self.theta[places]).max()
         held = deviation > 0
-        return replace(self, precision=np.where(held, noise / np.where(held, deviation, 1.0) ** 2, 0.0))
+        return replace(self, precision=np.where(held, noise / np.where(held, deviation, 1.0) ** 2, 0.0), noise=noise)
 
     def penalty(self, theta: np.ndarray) -> float:
         """Σ (θ - given)² precision."""
@@ -167,7 +166,6 @@ def build_problem(
         theta,
         low,
         high,
-        _size(theta),
         np.zeros(len(theta)),
     )
 
@@ -207,10 +205,6 @@ def _with_known(full: Any, known: Any) -> Any:
 
 def _double(params: Any) -> Any:
     return jax.tree.map(lambda p: np.asarray(p, np.float64), params)
-
-
-def _size(theta: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(theta) & (theta != 0.0), np.abs(theta), 1.0)
 
 
 def weighted_signals(problem: Problem, record: Record, *, folds: int, block: int) -> Signals:

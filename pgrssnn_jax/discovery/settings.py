@@ -22,28 +22,27 @@ _FIXED = (
 )
 
 
-class Rules(NamedTuple):
-    """When an effect counts.
+class Criteria(NamedTuple):
+    """When an effect counts, and what is said of it: every number that decides. The gap is the RMS error of the
+    recalibrated physics above that of white noise; standard errors are those of predictive log-likelihoods."""
 
-    p_value: of its gain under the null; share: least part of the recalibrated gap (RMS error above that of the noise)
-    that it closes; least: least relative fall of the error energy; rest, visible: the same for an effect that closes at
-    least `rest` of the remaining gap; finalists: candidates that are cross-validated; most: largest number of effects;
-    draws: of the null. beam: how many other beginnings are tried, where more than `open` of the gap or more than
-    `above` times the energy of the noise is left; far: times that energy where errors are surely no noise.
-    """
-
-    p_value: float = 0.01
-    share: float = 0.02
-    least: float = 0.02
-    rest: float = 0.5
-    visible: float = 0.1
-    finalists: int = 6
-    most: int = 4
-    draws: int = 2000
-    open: float = 0.05
-    above: float = 1.25
-    beam: int = 3
-    far: float = 2.0
+    p_value: float = 0.01  # of the gain of log-likelihood under the null, over the whole catalogue
+    further: float = 0.05  # the same for an effect beside others, one of which reaches p_value
+    share: float = 0.02  # least part of the gap that an effect closes: below, it is not worth a name
+    rest: float = 0.5  # or of what others leave of it
+    standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
+    certain: float = 3.0  # the same for a correction without a name: some twenty are tried
+    nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed
+    tied: float = 1.28  # standard errors by which a tenth of equals predict worse: within them effects are ambiguous
+    most: int = 4  # effects
+    finalists: int = 6  # effects of a screening that are fitted
+    draws: int = 1000  # of the null
+    block: int = 32  # samples that count as one in standard errors
+    beam: int = 2  # other first effects that are tried where errors stay above the noise by the factor `above`
+    above: float = 1.1
+    shifted: float = 1.05  # ratio of the errors, nominal to recalibrated, above which parameters were wrong
+    clear: float = 2.0  # ratio of the errors to white noise above which something is missing or the noise has a colour
+    follows: float = 0.1  # share of the error energy that the signals explain where the equations are wrong
 
 
 @dataclass(frozen=True)
@@ -61,10 +60,10 @@ class DiscoverySettings:
     block: int = 32  # samples at most, fewer in records below 640; blocks take turns: every fold sees all parts
     n_init: int = 50  # samples of the test record from which its start is fitted, where it shares none
     steps: int = 30  # of Levenberg-Marquardt, at most
-    p_value: float = 0.01  # of the gain of an effect under the null (nothing missing, errors of the spectrum seen)
+    p_value: float = 0.01  # of the gain of an effect under the null (nothing missing, noise of the colour seen)
     share: float = 0.02  # least part of the recalibrated gap (RMS error above the noise) that an effect closes
     most: int = 4  # effects that may be found
-    draws: int = 2000  # of the null: with 400 a p-value of 0.0035 came out as 0.0125, beyond the limit
+    draws: int = 1000  # of the null, at most; long records get fewer, but enough for p_value
     seed: int = 0  # of its random numbers
     network_epochs: int = 200  # of the PG-RSSNN that is trained on the old and the new physics; 0: none
     accelerate: bool = True  # False: without the tricks of `pgrssnn_jax.acceleration`, slower, equal results
@@ -81,5 +80,7 @@ class DiscoverySettings:
             raise ValueError(f"discovery.tolerance: expected null or a number above 0, found {self.tolerance:g}")
 
     @property
-    def rules(self) -> Rules:
-        return Rules(p_value=self.p_value, share=self.share, most=self.most, draws=self.draws)
+    def criteria(self) -> Criteria:
+        return Criteria(
+            p_value=self.p_value, share=self.share, most=self.most, draws=self.draws, block=max(self.block, 2)
+        )

@@ -10,7 +10,7 @@ import numpy as np
 from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.stretches import check_stretches
-from pgrssnn_jax.effects.base import Effect, effects_of
+from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.systems import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.matching import matched
@@ -66,8 +66,6 @@ def set_up(
 ) -> Setup:
     """effects: added to the catalogue; realisation: which dataset of the records. Raises `ValueError` with one sentence
     for everything that could turn out to be bad input later."""
-    if effects_of(physics.params):
-        raise ValueError(f"physics {physics.name!r}: expected one without effects, what is missing is to be found")
     nominal, physics = physics, physics.variant(**_chosen(physics, settings.replace))
     if physics.remark:
         notify(physics.remark)

@@ -58,7 +58,7 @@ def check_stretches(record: Record, length: int) -> None:
         )
 
 
-def stretches(problem: Problem, record: Record, length: int, *, folds: int, at_rest: bool) -> Signals:
+def stretches(problem: Problem, record: Record, length: int, folds: int, *, at_rest: bool) -> Signals:
     """Signals of all stretches `[stretch, length, ...]`; whole records go into one fold. at_rest: records start from
     zero. Raises `ValueError` as `check_stretches`."""
     check_stretches(record, length)

@@ -10,17 +10,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Validated, evaluate
+from pgrssnn_jax.discovery.candidates import Candidate, Screening
+from pgrssnn_jax.discovery.estimate import evaluate
 from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects, nearness
-from pgrssnn_jax.discovery.look import Candidate, Stage
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.physics.base import Physics
 
 _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
 _LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
 _LINE_SHARE = 0.1  # of the energy of the errors
 _NEIGHBOURS = 25  # bins on either side, at most
-_PERIODS = 8  # in the record, at least: of fewer, slow errors and a line look alike
+_PERIODS = 16  # in the record, at least: of fewer, slow errors and a line look alike
 
 
 class Formula(NamedTuple):
@@ -50,20 +50,13 @@ def flexible_problem(problem: Problem) -> Problem:
     return build_problem(problem.physics, effects, fixed=sorted(fixed), accelerate=problem.code.accelerate)
 
 
-def in_flexible(problem: Problem, flexible: Problem, model: Validated, start: Float[np.ndarray, "seq x"]) -> Validated:
-    """A model of the catalogue as one of `flexible_problem(problem)`; start: x_0 of states that are new there."""
-    theta, x0 = carried(problem, flexible, model.estimate.theta, model.estimate.x0, start)
-    folds = np.stack([carried(problem, flexible, t, model.estimate.x0, start)[0] for t in model.folds])
-    return model._replace(estimate=model.estimate._replace(theta=theta, x0=x0), folds=folds)
-
-
 def formula(
-    flexible: Problem, signals: Signals, stage: Stage, best: Candidate, x: Float[np.ndarray, "seq time x"]
+    flexible: Problem, signals: Signals, screening: Screening, best: Candidate, x: Float[np.ndarray, "seq time x"]
 ) -> Formula:
     """The curve of a flexible correction in words. x: states of the free run with it."""
-    physics = flexible.physics
+    physics, guess = flexible.physics, best.model.estimate.guess if best.model else best.guess
     where = families(physics)[best.name]
-    numbers = flexible.params(best.guess.theta).effects[best.name]
+    numbers = flexible.params(guess.theta).effects[best.name]
     target = _target(physics, where)
     if where.kind == "history":
         lags = ", ".join(f"{c:+.3g} at {k + 1}" for k, c in enumerate(numbers["c"]))
@@ -77,10 +70,10 @@ def formula(
     simulated = evaluate(
         flexible,
         signals,
-        best.guess._replace(theta=flexible.put(best.guess.theta, best.name, {**numbers, "c": values})),
+        guess._replace(theta=flexible.put(guess.theta, best.name, {**numbers, "c": values})),
     )
-    gained = stage.base.estimate.cost**0.5 - (best.validated or stage.base).estimate.cost ** 0.5
-    closed = (stage.base.estimate.cost**0.5 - simulated.cost**0.5) / gained if gained > 0 else 0.0
+    base, fitted = screening.base.estimate.cost**0.5, (best.model or screening.base).estimate.cost ** 0.5
+    closed = (base - simulated.cost**0.5) / (base - fitted) if base > fitted else 0.0
     left = f"d({target})/dt" if where.kind == "state" else target
     return Formula(f"{left} gains {terms}", target, signal, np.stack([at, c]), float(closed))
 

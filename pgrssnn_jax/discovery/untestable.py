@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.discovery.look import Stage
-from pgrssnn_jax.discovery.workflow import Discovery
+from pgrssnn_jax.discovery.candidates import Screening
+from pgrssnn_jax.discovery.discover import Discovery
 
 _VISIBLE = 10.0  # variances of the noise: energy of Δy that could be seen
 
@@ -17,14 +17,14 @@ _VISIBLE = 10.0  # variances of the noise: energy of Δy that could be seen
 def untestable(found: Discovery) -> list[dict[str, Any]]:
     return [
         {"name": name, "reason": reason}
-        for name, reason in _reasons(found.found.first, found.found.noise).items()
-        if name not in found.found.final.estimate.active
+        for name, reason in _reasons(found.selection.first, found.selection.noise).items()
+        if name not in found.selection.final.estimate.active
     ]
 
 
-def _reasons(stage: Stage, noise: float) -> dict[str, str]:
+def _reasons(screening: Screening, noise: float) -> dict[str, str]:
     said = {}
-    for name, (moved, left) in stage.visible.items():
+    for name, (moved, left) in screening.visible.items():
         least = _VISIBLE * max(noise, 1e-12)
         if not np.isfinite(moved) or moved < least:
             said[name] = "the data never reach it: it would not change the simulation by more than the noise"

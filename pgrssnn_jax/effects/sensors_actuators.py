@@ -162,6 +162,7 @@ def input_dead_zone(physics: Physics) -> Effect:
         parameters={"width": Parameter("w", _unit(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},
         initial_guesses=lambda span: [{"width": share * np.abs(span.u).max(0)} for share in (0.08, 0.2, 0.4)],
         active=lambda n, x, u: (np.abs(u) < n["width"]).any(-1),
+        simpler=("input_offset",),  # the same where the input keeps its sign and never enters the zone
     )
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, effects_of, own_of
+from pgrssnn_jax.effects.base import Effect, WithEffects, effects_of, own_of
 from pgrssnn_jax.effects.systems import add_named, in_catalogue_order
 from pgrssnn_jax.physics.base import Physics, Signal
 
@@ -60,11 +60,14 @@ def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, e
         if name in physics.settings and name not in OF_TRAINING and value != plain(physics.settings[name])
     }
     base = physics.variant(**{name: value for name, value in wanted.items() if not callable(physics.settings[name])})
-    base = base._replace(params=_like(base.params, stored["numbers"]["parameters"], where))
-    effects = stored["numbers"]["effects"]
-    if "verdict" in stored:  # a discovery lists its effects as they were found
-        effects = {name: effects[name] for name in in_catalogue_order(base, effects)}
-    found = add_named(base, effects, extra)
+    effects, there = stored["numbers"]["effects"], effects_of(base.params)
+    own = _like(own_of(base.params), stored["numbers"]["parameters"], where)
+    kept = {name: _like(there[name], effects[name], where, name) for name in there if name in effects}
+    base = base._replace(params=WithEffects(own, kept) if there else own)
+    order = stored["numbers"].get("order") or list(effects)
+    if "verdict" in stored and "order" not in stored["numbers"]:  # files of before list effects as they were found
+        order = in_catalogue_order(base, effects)
+    found = add_named(base, {name: effects[name] for name in order if name not in there}, extra)
     start = stored["initial_state"] or {}
     states = tuple(s._replace(start=start[s.name]) if s.name in start else s for s in found.states)
     return found._replace(states=states, discovered=bool(stored.get("discovered", "verdict" in stored)))

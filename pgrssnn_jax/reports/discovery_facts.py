@@ -16,6 +16,8 @@ VERDICTS = {
     "effect_found": "A missing effect was found",
     "ambiguous": "An effect is missing, and the data allow several",
     "unknown_effect": "Something is missing that no known effect explains",
+    "unexplained": "Errors stand above the noise, and nothing accounts for them",
+    "not_confirmed": "What was found is not confirmed by the test record",
 }
 """The heading for each verdict."""
 

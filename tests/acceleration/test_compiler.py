@@ -53,7 +53,7 @@ def test_arguments_may_ask_for_the_usual_compilation(monkeypatch):
 
 def test_importing_discovery_leaves_the_devices_to_be_set():
     code = (
-        "import pgrssnn_jax.discovery.workflow, jax; jax.config.update('jax_num_cpu_devices', 3);"
+        "import pgrssnn_jax.discovery.discover, jax; jax.config.update('jax_num_cpu_devices', 3);"
         "assert jax.device_count() == 3"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

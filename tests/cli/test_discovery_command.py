@@ -8,8 +8,8 @@ import pytest
 from commands import QUICK, called, command, composed
 
 from pgrssnn_jax.cli.discover import checked
-from pgrssnn_jax.discovery.card import discovery_json
-from pgrssnn_jax.discovery.workflow import discover
+from pgrssnn_jax.discovery.discover import discover
+from pgrssnn_jax.discovery.serialise import discovery_json
 
 LINEAR = ["physics=lgssm", "physics.A=[[0.8]]", "physics.B=[[1.0]]", "physics.C=[[1.0]]", "data=csv"]
 SHORT = ["discovery.network_epochs=0", "discovery.folds=2", "discovery.draws=99", "discovery.starts=1",
@@ -37,6 +37,7 @@ def files(folder: Path, samples: int = 240, change=lambda u, y: None) -> list[st
     return [f"data.train={train}", f"data.test={test}"]
 
 
+@pytest.mark.slow
 def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     pair = files(tmp_path)
     shared = "data.shared_initial_state=true"
@@ -96,11 +97,15 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
 
 def test_a_saturation_is_found_in_stretches_too(tmp_path):
     config = composed(*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]", name="discover")
-    found = discover(checked(config, lambda line: None), lambda line: None)
-    assert found.judged.verdict == "effect_found"
-    assert found.found.final.estimate.active == ("input_saturation",)
-    high = found.problem.params(found.found.final.estimate.theta).effects["input_saturation"]["high"]
+    setup = checked(config, lambda line: None)
+    found = discover(setup, lambda line: None)
+    assert found.judgement.verdict == "effect_found"
+    assert found.selection.final.estimate.active == ("input_saturation",)
+    high = found.problem.params(found.selection.final.estimate.theta).effects["input_saturation"]["high"]
     np.testing.assert_allclose(high, 0.8, atol=0.05)
+    said = json.loads(json.dumps(discovery_json(found, setup, command="")))
+    assert set(said) >= KEYS
+    assert [effect["name"] for effect in said["effects"]] == ["input_saturation"]
 
 
 @pytest.mark.slow
@@ -116,9 +121,9 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
     pair = [f"data.train={tmp_path / 'train.csv'}", f"data.validation={tmp_path / 'train.csv'}", *files(tmp_path)[1:]]
     setup = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
     found = discover(setup, lambda line: None)
-    assert found.judged.verdict == "effect_found"
-    assert found.found.final.estimate.active == ("input_saturation",)
-    assert found.found.noise**0.5 * np.std(setup.estimation.y[setup.estimation.mask]) == pytest.approx(0.02, rel=0.15)
+    assert found.judgement.verdict == "effect_found"
+    assert found.selection.final.estimate.active == ("input_saturation",)
+    assert found.selection.floor * np.std(setup.estimation.y[setup.estimation.mask]) == pytest.approx(0.02, rel=0.15)
 
 
 def refused(*arguments: str, cwd: Path, script: str) -> str:
@@ -180,7 +185,7 @@ def hole(u, y):
         (240, nothing, ["discovery.p_value=0.005"], "discovery.p_value: expected at least 1 / 100"),
         (240, nothing, ["discovery.p_value=0.004", "discovery.draws=2000", "discovery.stretches=[60]"], "1 / 201"),
         (240, nothing, ["resume=run"], "resume: expected null, .* found 'run'"),
-        (240, nothing, ["physics.effects=found.json"], "physics.effects: expected null, .* found 'found.json'"),
+        (240, nothing, ["physics.effects=found.json"], "physics.effects: expected a discovery.json"),
         (240, nothing, ["physics.A=[[50.0]]"], "physics 'lgssm': expected a free run that stays finite"),
         (
             240,

@@ -4,8 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from pgrssnn_jax.discovery.discover import Discovery, discover_in
+from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Setup, Start
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, record
+from pgrssnn_jax.training.settings import training_settings
 
 PUBLISHED = {"k1": 0.0464, "k2": 0.0003, "k3": 0.0412, "k4": 0.0586, "k5": 0.0039}
 TANKS = RecordInfo((Channel("pump_voltage", "V"),), (Channel("level_voltage", "V"),), 4.0, "simulated")
@@ -80,3 +85,20 @@ def choices(**changes: Any) -> DiscoverySettings:
         "network_epochs": 0,
     }  # fmt: skip
     return DiscoverySettings(**{**standard, **changes})
+
+
+def setup_of(problem: Problem, train: Record, test: Record, settings: DiscoverySettings, start: Start) -> Setup:
+    """As `set_up` makes it, of records that are one realisation and settings that need no choice."""
+    physics, training = problem.physics, training_settings(ModelSpec())
+    return Setup(physics, physics, problem.effects, train, train, train, test, start, settings, training)
+
+
+def discovered(
+    problem: Problem,
+    train: Record,
+    test: Record,
+    settings: DiscoverySettings,
+    start: Start = Start.SHARED,
+    flexible: Problem | None = None,
+) -> Discovery:
+    return discover_in(problem, setup_of(problem, train, test, settings, start), lambda line: None, flexible)

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from discovery.small_cases import pump, tank_record
 
-from pgrssnn_jax.discovery.estimate import Estimate, Validated
-from pgrssnn_jax.discovery.look import size_and_noise
 from pgrssnn_jax.discovery.problem import ALWAYS, Problem, build_problem, weighted_signals
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.record import Record
 
-FOLDS, NOISE = 5, 0.05
+FOLDS = 5
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +36,3 @@ def test_sequences_take_turns(problem):
     """12 sequences of 144 samples: five blocks each, as many as folds."""
     fold = weighted_signals(problem, sequences(12, 144), folds=FOLDS, block=32).block
     assert len(set(fold[:, -1])) == FOLDS
-
-
-def test_the_noise_is_that_of_the_samples_that_count(problem):
-    data = weighted_signals(problem, sequences(20, 64), folds=FOLDS, block=32)
-    error = NOISE * np.random.default_rng(0).standard_normal(data.y.shape)
-    held_out = np.where(data.block[..., None] >= 0, error, 0.0)
-    model = Validated(Estimate((), problem.theta, data.start, error), held_out, problem.theta[None])
-    size, noise = size_and_noise(data, [model])
-    assert size == (data.block >= 0).sum()
-    assert noise * size == pytest.approx(model.cost, rel=0.1)

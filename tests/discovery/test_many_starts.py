@@ -30,7 +30,7 @@ def pieces(noise: float) -> Signals:
 def test_numbers_and_starts_are_those_of_scipy():
     problem, record = build_problem(cascaded_tanks(integrator="rk4"), []), pieces(0.05)
     free = [i for i, slot in enumerate(problem.slots) if slot.label in ("k1", "k3", "k4")]
-    lanes = Lanes(problem.theta[None], record.start[None], np.array([free]), np.array([-1]))
+    lanes = Lanes(problem.theta[None], record.start[None], np.array([free]))
     found = fit(problem, record, lanes, steps=60)
 
     def residual(z):
@@ -50,7 +50,7 @@ def test_a_sequence_that_cannot_be_fitted_does_not_hold_back_the_others():
     y, weight = record.y.copy(), record.weight.copy()
     y[2], weight[2] = 30.0 - 5.0 * y[2], 1e-3
     free = [i for i, slot in enumerate(problem.slots) if slot.label in ("k1", "k3", "k4")]
-    lanes = Lanes(problem.theta[None], record.start[None], np.array([free]), np.array([-1]))
+    lanes = Lanes(problem.theta[None], record.start[None], np.array([free]))
     found = fit(problem, record._replace(y=y, weight=weight), lanes, steps=60)
     alone, _ = simulate(problem, record.u, found.theta, found.x0)
     others = [0, 1, 3, 4]

@@ -7,10 +7,9 @@ import pytest
 from discovery.small_cases import pump, tank_record
 from scipy.optimize import least_squares
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
-from pgrssnn_jax.discovery.null import Added, what_is_added
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
+from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -38,7 +37,7 @@ def own(problem: Problem) -> np.ndarray:
 
 
 def fitted(problem: Problem, record: Signals) -> tuple[np.ndarray, np.ndarray, float]:
-    lanes = Lanes(problem.theta[None], record.start[None], own(problem)[None], np.array([-1]))
+    lanes = Lanes(problem.theta[None], record.start[None], own(problem)[None])
     found = fit(problem, record, lanes, steps=60)
     return found.theta[0], found.x0[0], float(found.cost[0])
 
@@ -95,20 +94,8 @@ def test_effects_and_zeros_are_not_held_and_a_matrix_is_by_its_largest_entry():
     assert not problem.with_numbers(physics.params).precision.any(), "other numbers are not known yet"
 
 
-def test_what_the_parameters_may_not_take_up_is_added_by_an_effect(problem, record):
-    """A gain of the sensor is taken up by the parameters, as far as they may move."""
-    settings = Settings(lanes=2)
-
-    def added(problem: Problem) -> tuple[Added, float]:
-        here = Guess((), problem.theta, record.start)
-        gained = Guess(("sensor_gain",), problem.put(problem.theta, "sensor_gain", {"gain": [1.05]}), record.start)
-        (one,) = what_is_added(problem, record, evaluate(problem, record, here), [gained], settings)
-        moved = record.weight * simulate(problem, record.u, gained.theta[None], record.start[None])[0][0]
-        moved = moved - record.weight * simulate(problem, record.u, problem.theta[None], record.start[None])[0][0]
-        return one, float(np.linalg.norm(one.basis.T @ moved.ravel())) / one.moved**0.5
-
-    free, seen = added(problem)
-    held, seen_held = added(problem.held(1e-4, noise(record)))
-    assert seen < 0.05 < 0.3 < seen_held
-    assert held.moved == free.moved
-    assert held.left == pytest.approx(free.left), "whether the data can see it does not depend on what was given"
+def test_what_is_fixed_stays_fixed_beside_corrections_without_a_name():
+    physics = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+    held, free = (flexible_problem(build_problem(physics, (), fixed=f, accelerate=False)) for f in (["B"], []))
+    assert {held.slots[i].path[0] for i in held.of(None)} == {"A", "C"}
+    assert {free.slots[i].path[0] for i in free.of(None)} == {"A", "B", "C"}

@@ -4,24 +4,24 @@ import math
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
+from pgrssnn_jax.discovery.candidates import Screening
+from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import (
     at_bound,
     closed_on_test,
-    deviations,
     finding,
     floor,
-    jackknife,
+    interval,
     when,
     within_record,
 )
 from pgrssnn_jax.discovery.locate import box, clear, signal_map
-from pgrssnn_jax.discovery.look import Candidate, Stage
 from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.discovery.sentence import sentence
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
-from pgrssnn_jax.discovery.verdict import Verdict
-from pgrssnn_jax.discovery.workflow import Discovery
 from pgrssnn_jax.effects.base import add, effects_of, own_of
 from pgrssnn_jax.effects.stored import physics_to_json, plain
 
@@ -29,8 +29,8 @@ from pgrssnn_jax.effects.stored import physics_to_json, plain
 def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str, Any]:
     """The content of `discovery.json`; `numbers` and `physics` are what `physics.effects=FILE` reads."""
     problem, estimation = found.problem, setup.estimation
-    effects = [finding(found, name, command) for name in _by_gain(found)]
-    verdict = found.judged.verdict
+    effects = [finding(found, name, command) for name in _by_gain(found) if name != found.convention]
+    verdict = found.judgement.verdict
     return {
         "schema": 1,
         "system": problem.physics.name,
@@ -40,22 +40,26 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
             "n_train": int(estimation.mask.any(-1).sum()),
             "n_test": int(setup.test.mask.any(-1).sum()),
             "dt": problem.physics.dt,
+            "timing": "before_step" if found.convention else problem.physics.output_timing,
         },
         "verdict": str(verdict),
-        "sentence": _sentence(found, effects),
+        "sentence": sentence(found, _gap(found), effects, _alternatives(found)),
         "effects": effects,
         "alternatives": _alternatives(found),
         "untestable": untestable(found),
         "formula": _formula(found),
         "spectrum": _spectrum(found, setup),
-        "follows": found.beyond.follows._asdict() if found.beyond.follows else None,
+        "follows": found.nameless.follows._asdict() if found.nameless.follows else None,
         "disagreement": disagreement(found),
         "recalibration": _recalibration(found),
         "parameters": _parameters(found),
         "gap": _gap(found),
         "ranking": _ranking(found),
         "network": None,
-        "null": {"threshold": _threshold(found.found.first, setup), "draws": len(found.found.first.null)},
+        "null": {
+            "threshold": float(np.quantile(_law(found.selection.first), 1.0 - setup.settings.p_value)),
+            "draws": len(found.selection.first.null.law),
+        },
         "seconds": found.seconds,
         "inputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.inputs],
         "outputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.outputs],
@@ -68,17 +72,20 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
 
 def _by_gain(found: Discovery) -> list[str]:
     """Names of the effects, the one without which most would be left unexplained first."""
-    return sorted(found.found.final.estimate.active, key=lambda name: -found.found.stages[name].rms())
+    screenings = found.selection.screenings
+    return sorted(found.selection.final.estimate.active, key=lambda name: screenings[name].base.score)
 
 
 def _parameters(found: Discovery) -> dict[str, Any]:
-    std, theta = deviations(found), found.found.final.estimate.theta
-    free = [i for name in (None, *found.found.final.estimate.active) for i in found.problem.of(name)]
+    final = found.selection.final
+    std, theta = final.deviation, final.estimate.theta
+    free = [i for name in (None, *found.selection.final.estimate.active) for i in found.problem.of(name)]
     slots, low, high = found.problem.slots, found.problem.low, found.problem.high
     return {
         slots[i].label: {
             "value": float(theta[i]),
             "std": float(std[i]),
+            "interval": interval(theta[i], std[i], final.freedom),
             "unit": slots[i].meaning.unit,
             "at_bound": bool(at_bound(theta[i], (float(low[i]), float(high[i])), slots[i].meaning.neutral)),
         }
@@ -87,14 +94,14 @@ def _parameters(found: Discovery) -> dict[str, Any]:
 
 
 def _recalibration(found: Discovery) -> dict[str, Any]:
-    problem, folds = found.problem, found.found.recalibrated.folds
-    std = jackknife(folds)
-    after = found.found.recalibrated.estimate.theta
+    problem, recalibrated = found.problem, found.selection.recalibrated
+    after, std = recalibrated.estimate.theta, recalibrated.deviation
     return {
         problem.slots[i].label: {
             "before": float(problem.theta[i]),
             "after": float(after[i]),
             "std": float(std[i]),
+            "interval": interval(after[i], std[i], recalibrated.freedom),
             "unit": problem.slots[i].meaning.unit,
         }
         for i in problem.of(None)
@@ -102,53 +109,58 @@ def _recalibration(found: Discovery) -> dict[str, Any]:
 
 
 def _gap(found: Discovery) -> dict[str, Any]:
-    test, train = found.test, found.train
-    pairs = {name: {"train": getattr(train, name).error, "test": getattr(test, name).error} for name in test._fields}
+    test, train = found.test.models, found.train.models
+    error = {name: {"train": train[name].error, "test": test[name].error} for name in test}
+    closed = closed_on_test(found, test["recalibrated"].error, test["after"].error)
     return {
-        "metric": found.merit.name,
-        "unit": found.merit.unit,
-        **pairs,
-        "test_interval": {name: list(getattr(test, name).interval) for name in test._fields},
-        "n_init": found.merit.n_init,
+        "metric": found.test.metric.name,
+        "unit": found.test.metric.unit,
+        **error,
+        "test_interval": {name: list(one.interval) for name, one in test.items()},
+        "improvement_interval": list(found.test.improvement),
+        "n_init": found.test.metric.n_init,
         "floor": floor(found),
-        "closed_fraction": closed_on_test(found, test.recalibrated.error, test.after.error),
+        "closed_fraction": closed,
+        "open_fraction": 1.0 - closed,
     }
 
 
 def _ranking(found: Discovery) -> list[dict[str, Any]]:
-    """The first look at the whole catalogue: gain in parts of the error energy, in blocks left out where candidates
-    were cross-validated, else in the fit."""
-    stage, active = found.found.first, found.found.final.estimate.active
+    """The first screening of the whole catalogue: gain in parts of the energy of the innovations."""
+    screening, active = found.selection.first, found.selection.final.estimate.active
     return [
         {
             "name": c.name,
-            "gain": _energy_gain(stage, c),
-            "cross_validated": c.validated is not None,
-            "p_value": stage.p_value(c),
+            "gain": float(_energy(screening, c.gain)),
+            "log_likelihood": c.gain,
+            "cross_validated": c.model is not None,
+            "p_value": screening.p_value(c),
             "chosen": c.name in active,
         }
-        for c in stage.candidates
+        for c in screening.candidates
     ]
 
 
-def _energy_gain(stage: Stage, candidate: Candidate) -> float:
-    return candidate.gain if candidate.validated is None else 1.0 - candidate.cost / stage.base.cost
+def _energy(screening: Screening, gain: Any) -> Any:
+    """Part of the energy of the innovations that a gain of log-likelihood takes away."""
+    return -np.expm1(-2.0 * np.maximum(gain, 0.0) / screening.size)
 
 
-def _threshold(stage: Stage, setup: Setup) -> float:
-    return float(np.quantile(stage.null, 1.0 - setup.settings.p_value)) if len(stage.null) else math.nan
+def _law(screening: Screening) -> Float[np.ndarray, " draw"]:
+    """What the best effect gains by luck, in the scale of the effect that is ranked first."""
+    best = next(iter(screening.candidates), None)
+    return _energy(screening, screening.null.gains(best.name)) if best else np.zeros(1)
 
 
 def _alternatives(found: Discovery) -> list[dict[str, Any]]:
     said = []
-    for name, others in found.judged.alternatives.items():
+    for name, others in found.judgement.alternatives.items():
         for other in others:
-            stage = found.found.stages[name]
             said.append(
                 {
                     "name": other.name,
                     "instead_of": name,
-                    "gain": _energy_gain(stage, other),
+                    "gain": float(_energy(found.selection.screenings[name], other.gain)),
                     "experiment": _experiment(found.problem, name, other.name),
                 }
             )
@@ -177,7 +189,7 @@ def _formula(found: Discovery) -> str | None:
 
 
 def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
-    line = found.beyond.line
+    line = found.nameless.line
     if line is None:
         return None
     unit = setup.estimation.info.outputs[line.output].unit
@@ -186,9 +198,9 @@ def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
 
 def disagreement(found: Discovery) -> list[dict[str, Any]]:
     """One entry per state equation whose correction stands out, the likeliest first."""
-    physics, correction = found.problem.physics, found.correction
-    within = within_record(found.located)
-    values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)[within]
+    physics, correction = found.problem.physics, found.location.correction
+    within = within_record(found.location.signals)
+    values = np.concatenate([found.location.x[..., : len(physics.states)], found.location.signals.u], -1)[within]
     said = []
     for i in np.argsort(-correction.likelihood):
         acting = within & np.stack([clear(m, s) for m, s in zip(correction.mean[i], correction.std[i], strict=True)])
@@ -216,65 +228,34 @@ def _finite(value: float) -> float | None:
 
 def _numbers(found: Discovery) -> dict[str, Any]:
     """Parameters of the physics and of every effect, for `physics.effects=FILE`; infinite limits as null."""
-    theta = found.found.final.estimate.theta
+    theta = found.selection.final.estimate.theta
     params, known = found.problem.params(theta), found.problem.known(theta)
-    effects = {name: effects_of(params)[name] for name in (*effects_of(known), *found.found.final.estimate.active)}
+    active, there = found.selection.final.estimate.active, effects_of(known)
+    order = [*there, *(effect.name for effect in found.problem.effects if effect.name in active)]
     own = {name: own_of(known)[name] for name in own_of(found.problem.physics.params)}
-    return {"parameters": plain(own), "effects": plain(effects)}
+    effects = {name: effects_of(params)[name] for name in order}
+    return {"parameters": plain(own), "effects": plain(effects), "order": order}
 
 
 def _initial_state(found: Discovery) -> dict[str, float]:
     """Of the physics, and of what the effects found remember."""
-    problem, final = found.problem, found.found.final.estimate
+    problem, final = found.problem, found.selection.final.estimate
     states = add(problem.physics, *map(problem.effect, final.active)).states
     begun = dict(zip((state.name for state in problem.full.states), final.x0[0], strict=True))
     return {state.name: float(begun[state.name]) for state in states}
-
-
-def _sentence(found: Discovery, effects: list[dict[str, Any]]) -> str:
-    gap = _gap(found)
-    unit = f" {gap['unit']}" if gap["unit"] else ""
-    before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
-    verdict = found.judged.verdict
-    titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
-    errors = f"test {gap['metric']} {before:.3g}{unit} nominal, {fitted:.3g}{unit} recalibrated"
-    if verdict is Verdict.NO_DISCREPANCY:
-        return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
-    if verdict is Verdict.MISCALIBRATED:
-        return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
-    if verdict is Verdict.UNKNOWN_EFFECT:
-        return f"Something is missing that no effect of the catalogue explains: {_what(found)}; {errors}."
-    closed = f"{errors}, {after:.3g}{unit} with it"
-    if verdict is Verdict.AMBIGUOUS:
-        others = ", ".join(sorted({a["name"] for a in _alternatives(found)}))
-        return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed}."
-    return f"Missing: {titles}; {closed} ({100 * gap['closed_fraction']:.0f} % of the gap above the noise)."
-
-
-def _what(found: Discovery) -> str:
-    """What is known of something without a name."""
-    if found.formula is not None:
-        return found.formula.text
-    if found.beyond.line is not None:
-        return "a periodic disturbance"
-    share = found.beyond.follows.share if found.beyond.follows else 0.0
-    return (
-        f"the errors follow the signals ({100 * share:.0f} % of their energy), but no curve of one signal in one "
-        "equation says how: a memory or a hard stop may"
-    )
 
 
 def discovery_arrays(found: Discovery, setup: Setup) -> dict[str, Any]:
     """The arrays of `discovery.npz`: simulations of both records, the correction signal, and its map."""
     physics = found.problem.physics
     arrays: dict[str, Any] = {}
-    for part, record, proofs in (("train", found.estimation, found.train), ("test", setup.test, found.test)):
+    for part, record, runs in (("train", found.estimation, found.train), ("test", setup.test, found.test)):
         arrays[f"time_{part}"] = np.arange(record.u.shape[1]) * physics.dt
         arrays |= {f"u_{part}": record.u, f"y_{part}": record.y, f"mask_{part}": record.mask}
-        arrays |= {f"y_{name}_{part}": getattr(proofs, name).y for name in proofs._fields}
+        arrays |= {f"y_{name}_{part}": one.y for name, one in runs.models.items()}
     arrays["x_after_train"] = found.train.after.x[..., : len(physics.states)]
-    arrays["correction"], arrays["correction_std"] = found.correction.mean, found.correction.std
-    arrays["null_law"] = found.found.first.null
+    arrays["correction"], arrays["correction_std"] = found.location.correction.mean, found.location.correction.std
+    arrays["null_law"] = _law(found.selection.first)
     return arrays | _map_arrays(found)
 
 
@@ -286,10 +267,10 @@ def _map_arrays(found: Discovery) -> dict[str, np.ndarray]:
     equation = named[0]["equation"] if named else physics.states[0].name
     a = next(iter(named[0]["region"]), equation) if named else equation
     b = next((s.name for s in physics.inputs if s.name != a), names[0])
-    values = np.concatenate([found.x[..., : len(physics.states)], found.located.u], -1)
+    values = np.concatenate([found.location.x[..., : len(physics.states)], found.location.signals.u], -1)
     i = [s.name for s in physics.states].index(equation)
     pair = (values[..., names.index(a)], values[..., names.index(b)])
-    drawn = signal_map(found.correction.mean[i], *pair, (a, b), within_record(found.located))
+    drawn = signal_map(found.location.correction.mean[i], *pair, (a, b), within_record(found.location.signals))
     return {
         "map_x_edges": drawn.a_edges, "map_u_edges": drawn.b_edges, "map_mean": drawn.mean,
         "map_std_error": drawn.std_error, "map_count": drawn.samples, "map_equation": np.array(equation),

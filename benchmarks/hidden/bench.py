@@ -1,0 +1,163 @@
+"""From the equations of a plant to a case: inputs, thresholds where the signals are, noise, records.
+
+    v = clip(dead(z + u_offset), -u_top, u_top),   z: u late by `delay` and with a lag
+    y = clip(measured + y_offset + e, -y_top, y_top),   one offset per output
+
+dead(v) = sign(v) max(|v| - u_dead, 0). A plant is integrated by Runge-Kutta 4 in SUB_STEPS steps per sample; dry
+friction takes its share of the speed after every one of them, and stops what is slower.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgrssnn_jax.records.record import Channel, RecordInfo
+
+from .case import Case, Catalogue, measured, rms, streams
+from .draws import resolved
+from .noise import errors
+from .signals import Wave, command
+
+SUB_STEPS = 10
+HISTORY = 8  # samples before a record starts: what a delayed actuator still has to run
+_TRIES = 6
+Numbers = Mapping[str, Any]
+Slope = Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Plant(NamedTuple):
+    """slope(numbers, x, v): dx/dt, of states `[x, record]` and inputs `[record]`; outputs: states that are measured;
+    friction(numbers, h): by which number of the speed, a state, dry friction slows it in h seconds, if there is any;
+    draw: sizes of an effect by its name; shape: an input as a wave of deviation 1, mean: of the input; reach: 99.9 %
+    of the first output's readings lie within, on average over both records; lowest: that a state can have."""
+
+    name: str
+    catalogue: Catalogue
+    nominal: Numbers
+    spread: float
+    slope: Slope
+    draw: Callable[[str, np.random.Generator], dict[str, Any]]
+    shape: Callable[[np.random.Generator, int], Wave]
+    start: Callable[[np.random.Generator], list[float]]
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    measured: tuple[int, ...]
+    dt: float
+    samples: int
+    size: float
+    reach: float
+    mean: float = 0.0
+    speed: int | None = None
+    lowest: float = -np.inf
+
+
+def build(
+    plant: Plant,
+    seed: int,
+    truth: tuple[str, ...] = (),
+    *,
+    noise: float,
+    noise_kind: str = "white",
+    removed: tuple[str, ...] = (),
+) -> Case:
+    """Raises `ValueError` for an unknown effect."""
+    plant.catalogue.check(truth)
+    rng = streams(plant.name, seed, "plant effects input start noise process")
+    own = {k: v * (1 + rng["plant"].uniform(-plant.spread, plant.spread)) for k, v in plant.nominal.items()}
+    draw = {k: v for name in truth for k, v in plant.draw(name, rng["effects"]).items()}
+    shapes = [plant.shape(rng["input"], plant.samples + HISTORY) for _ in range(2)]
+    start = np.array([plant.start(rng["start"]) for _ in range(2)]).T
+    u, sizes = _excited(plant, own, draw, shapes, start)
+    truly, none = {**own, **sizes}, np.zeros((2, plant.samples))
+    w = _disturbance(plant, truly, u, start, noise, rng["process"]) if noise_kind == "process" else none
+    still = simulate(plant, truly, u, start, none)
+    clean, states = reading(plant, truly, still), simulate(plant, truly, u, start, w) if w.any() else still
+    at = reading(plant, truly, states)
+    e = [errors(rng["noise"], noise_kind, noise, one) for record in at for one in record.T]
+    noisy = reading(plant, truly, states, np.reshape(e, (2, len(plant.measured), -1)).swapaxes(1, 2))
+    info = RecordInfo(plant.inputs, plant.outputs, plant.dt, "simulated", f"{plant.name}, {seed}")
+    train, test = (measured(a[HISTORY:, None], b, info) for a, b in zip(u, noisy, strict=True))
+    without = reading(plant, own, simulate(plant, own, u, start, none, 2)) if truth else clean
+    return Case(
+        system=plant.name,
+        seed=seed,
+        truth=truth,
+        accepted=plant.catalogue.accepted(truth),
+        removed=removed,
+        magnitudes={**sizes, "parameters": own, "start": start.T.tolist()},
+        noise=noise,
+        physics=dict(plant.nominal),
+        train=train,
+        test=test,
+        floor=rms(noisy[1] - clean[1]),
+        change=rms(clean[1] - without[1]),
+        noise_kind=noise_kind,
+    )
+
+
+def _excited(
+    plant: Plant, own: Numbers, draw: dict[str, Any], shapes: list[Wave], start: np.ndarray
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Inputs `[record, time]` whose size takes the plant to its reach, and the sizes of the effects."""
+    size, sizes, u, none = plant.size, {}, np.array(shapes), np.zeros((2, plant.samples))
+    free = none
+    for _ in range(_TRIES):
+        u = plant.mean + size * np.array(shapes)
+        sizes = resolved(draw, {"input": np.abs(u)})
+        free = reading(plant, {**own, **sizes}, simulate(plant, {**own, **sizes}, u, start, none, 2))
+        if plant.reach == np.inf:
+            break
+        reached = np.nan_to_num(np.quantile(np.abs(free[..., 0]), 0.999), nan=np.inf)  # a softer spring can let go
+        size *= float(np.clip(plant.reach / max(reached, 1e-9), 0.6, 1.4))
+    sizes = resolved(draw, {"input": np.abs(u), "reading": np.abs(free)})
+    return u, sizes
+
+
+def _disturbance(
+    plant: Plant, numbers: Numbers, u: np.ndarray, start: np.ndarray, deviation: float, rng: np.random.Generator
+) -> np.ndarray:
+    """White, held over a sample, at the input, of such a size that the readings depart by `deviation`."""
+    w, none = rng.standard_normal((2, plant.samples)), np.zeros((2, plant.samples))
+    still = simulate(plant, numbers, u, start, none, 2)
+    size = 1e-2 * plant.size
+    for _ in range(3):
+        moved = simulate(plant, numbers, u, start, size * w, 2)
+        size *= deviation / max(rms(reading(plant, numbers, moved) - reading(plant, numbers, still)), 1e-12)
+    return size * w
+
+
+def simulate(
+    plant: Plant, numbers: Numbers, u: np.ndarray, start: np.ndarray, w: np.ndarray, sub_steps: int = SUB_STEPS
+) -> np.ndarray:
+    """States `[record, time, x]` after each sample of records that start HISTORY samples after u does."""
+    h, dry = plant.dt / sub_steps, numbers.get("dry", 0.0)
+    late = [command(one, SUB_STEPS, numbers.get("delay", 0.0), numbers.get("lag", 0.0), HISTORY) for one in u]
+    v = np.reshape(late, (2, -1, SUB_STEPS)).reshape(2, -1, sub_steps, SUB_STEPS // sub_steps).mean(-1)
+    v = _acting(numbers, v) + w[..., None]
+    x, found = start, np.empty((2, plant.samples, len(start)))
+    for t in range(plant.samples):
+        for one in v[:, t].T:
+            a = plant.slope(numbers, x, one)
+            b = plant.slope(numbers, x + h / 2 * a, one)
+            c = plant.slope(numbers, x + h / 2 * b, one)
+            d = plant.slope(numbers, x + h * c, one)
+            x = np.maximum(x + h / 6 * (a + 2 * (b + c) + d), plant.lowest)
+            if dry and plant.speed is not None:
+                speed = x[plant.speed]
+                x[plant.speed] = speed - np.clip(speed, -h * dry, h * dry)
+        found[:, t] = x.T
+    return found
+
+
+def _acting(numbers: Numbers, u: np.ndarray) -> np.ndarray:
+    v = u + numbers.get("u_offset", 0.0)
+    v = np.sign(v) * np.maximum(np.abs(v) - numbers.get("u_dead", 0.0), 0.0)
+    top = numbers.get("u_top", np.inf)
+    return np.clip(v, -top, top)
+
+
+def reading(plant: Plant, numbers: Numbers, states: np.ndarray, e: np.ndarray | float = 0.0) -> np.ndarray:
+    """`[record, time, y]`; the range of a sensor ends after its noise."""
+    top = numbers.get("y_top", np.inf)
+    return np.clip(states[..., list(plant.measured)] + numbers.get("y_offset", 0.0) + e, -top, top)

@@ -1,0 +1,40 @@
+"""The physics that discovery is given: the nominal one, integrated finely enough not to be in the way; an arm is what
+users have."""
+
+from pgrssnn_jax.physics.arms.build import arm
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.linear import lgssm
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+from . import chain, duffing, pendulum, servo, units
+from .case import Case
+
+# True numbers by the names that the nominal physics has for them; a linear system's depend on its coordinates.
+_NAMES = {"pendulum": {"l": "length", "d": "damping"}}
+_NOT_COMPARED = ("lgssm", "arm")
+
+
+def nominal(case: Case) -> Physics:
+    physics = _in_own_units(case)
+    return physics if case.units == (1.0, 1.0) else units.physics_in(physics, case.system, case.units)
+
+
+def _in_own_units(case: Case) -> Physics:
+    if case.system == "tanks":
+        return cascaded_tanks(**case.physics, integrator="rk4")
+    if case.system == "lgssm":
+        return lgssm(**case.physics)
+    users = {"pendulum": pendulum.pendulum, "servo": servo.servo, "duffing": duffing.duffing, "chain": chain.chain}
+    if case.system in users:
+        return users[case.system](**case.physics)
+    return arm(**{"sub_steps": 5, **case.physics})
+
+
+def true_parameters(case: Case) -> dict[str, float]:
+    """Numbers of the plant by the names of the nominal physics."""
+    if case.system in _NOT_COMPARED:
+        return {}
+    known = case.magnitudes["parameters"]
+    names = _NAMES.get(case.system, {name: name for name in known})
+    factors = {name: units.parameter_factor(case.system, name, case.units) for name in names}
+    return {name: float(known[there]) * factors[name] for name, there in names.items()}

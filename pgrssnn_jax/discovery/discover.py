@@ -1,0 +1,179 @@
+"""The whole of a discovery: recalibrate, select, locate, judge, validate. Nothing here writes a file.
+
+record, physics ──> recalibrated ──> selected effects ──> correction signal ──> judgement ──> test record, once
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.estimate import Guess, evaluate
+from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
+from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
+from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
+from pgrssnn_jax.discovery.scoring import Scoring, scoring
+from pgrssnn_jax.discovery.select import Selection, select
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
+from pgrssnn_jax.discovery.stretches import end_to_end
+from pgrssnn_jax.discovery.unknown import Formula, flexible_problem, formula
+from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
+from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention
+from pgrssnn_jax.records.record import Record
+
+_FINALISTS = 2  # corrections without a name that are fitted to the end
+_LOCATED = 24  # sequences or segments whose correction is estimated
+
+
+class Location(NamedTuple):
+    """signals: sequences whose correction was estimated; correction: of the recalibrated physics; x: its states."""
+
+    signals: Signals
+    correction: Correction
+    x: Float[np.ndarray, "seq time x"]
+
+
+class Discovery(NamedTuple):
+    """Everything that was found out. signals and estimation: sequences of the record, uncut; convention: the effect
+    that says no more than when the data were read."""
+
+    problem: Problem
+    signals: Signals
+    estimation: Record
+    selection: Selection
+    nameless: Nameless
+    judgement: Judgement
+    formula: Formula | None
+    location: Location
+    convention: str | None
+    train: Validations
+    test: Validations
+    seconds: dict[str, float]
+
+
+def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
+    """Of a physics whose free run over the record stays finite (`check_free_run`)."""
+    chosen = setup.settings
+    problem = build_problem(setup.physics, setup.effects, fixed=chosen.fixed, accelerate=chosen.accelerate)
+    return discover_in(problem, setup, notify)
+
+
+def discover_in(
+    problem: Problem, setup: Setup, notify: Callable[[str], None], flexible: Problem | None = None
+) -> Discovery:
+    """flexible: that of `flexible_problem(problem)` where many records are examined with one physics."""
+    chosen, seconds = setup.settings, dict[str, float]()
+    with jax.enable_x64(True):
+        how = scoring(problem, setup.estimation, chosen, setup.start, np.random.default_rng(chosen.seed))
+        with _timed(seconds, "recalibrate"):
+            nominal = nominal_guess(problem, how.signals(problem, 0), how.settings)
+            begun = recalibrated_guess(problem, how.signals(problem, 0), nominal, how.settings, chosen)
+            known = _as_known(problem, how, begun, chosen)
+            problem = known(problem)
+        with _timed(seconds, "name"):
+            criteria = chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
+            selection = select(problem, begun, criteria, notify, how.screen(problem, chosen.without, criteria))
+            selection = how.finish(problem, selection)
+        with _timed(seconds, "locate"):
+            location = _located(problem, how, selection)
+        with _timed(seconds, "judge"):
+            flexible = known(flexible or flexible_problem(problem))
+            nameless = _nameless(problem, flexible, how, selection, chosen)
+            before = evaluate(problem, how.signals(problem, 0), nominal)
+            rms = (before.cost / selection.first.size) ** 0.5
+            convention = reading_convention(problem, selection.final)
+            judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
+            told = _told(flexible, how, selection, judgement)
+        with _timed(seconds, "prove"):
+            guesses = (nominal, selection.recalibrated.estimate.guess, selection.final.estimate.guess)
+            whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
+            train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
+            without = {name: one.base.estimate.guess for name, one in selection.screenings.items()}
+            test = validations_on_test(problem, setup, guesses, without, how.settings)
+            judgement = confirmed(judgement, test.improvement, test.relative)
+    return Discovery(
+        problem, how.uncut, whole, selection, nameless, judgement, told, location, convention, train, test, seconds
+    )
+
+
+def _nameless(
+    problem: Problem, flexible: Problem, how: Scoring, selection: Selection, chosen: DiscoverySettings
+) -> Nameless:
+    effects, few = len(selection.final.estimate.active), chosen.criteria._replace(finalists=_FINALISTS)
+    return look_beyond(
+        problem,
+        flexible,
+        how.uncut,
+        how.signals(flexible, effects),
+        selection,
+        chosen.criteria,
+        np.random.default_rng(chosen.seed),
+        how.screen(flexible, [effect.name for effect in problem.effects], few),
+        segments=how.segmented,
+    )
+
+
+def _told(flexible: Problem, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:
+    """The formula of a correction without a name."""
+    if judgement.unnamed is None:
+        return None
+    screening, best = judgement.unnamed
+    signals = how.signals(flexible, len(selection.final.estimate.active))
+    guess = best.model.estimate if best.model else best.guess
+    _, x = simulate(flexible, signals.u, guess.theta[None], guess.x0[None])
+    return formula(flexible, signals, screening, best, x[0])
+
+
+def _located(problem: Problem, how: Scoring, selection: Selection) -> Location:
+    """The correction signal of the recalibrated physics on the first sequences."""
+    record = how.signals(problem, 0)
+    pieces = len(record.u) // len(how.uncut.u)  # segments of each sequence
+    count = pieces * max(1, _LOCATED // pieces)
+    few = Signals(*(a[:count] for a in record))
+    base = selection.recalibrated.estimate
+    x0, error = base.x0[:count], base.error[:count]
+    _, x = simulate(problem, few.u, base.theta[None], x0[None])
+    correction = smoothed_correction(problem, few, base.theta, x[0], x0, error, selection.noise**0.5)
+    correction = correction._replace(mean=end_to_end(correction.mean, pieces), std=end_to_end(correction.std, pieces))
+    u, y, weight, block = (end_to_end(a, pieces, axis=0) for a in few[:4])
+    whole = Signals(u, y, weight, block, few.start[::pieces], few.precision[::pieces])
+    return Location(whole, correction, end_to_end(x[0], pieces, axis=0))
+
+
+def _as_known(problem: Problem, how: Scoring, begun: Guess, chosen: DiscoverySettings) -> Callable[[Problem], Problem]:
+    """Problems whose physics has a prior; the noise is what a free refit leaves."""
+    if chosen.tolerance is None or how.segmented:
+        return lambda same: same
+    tolerance, record = chosen.tolerance, how.signals(problem, 0)
+    noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / max(1, int((record.weight > 0).sum()))
+    return lambda other: other.held(tolerance, noise)
+
+
+def check_free_run(setup: Setup) -> None:
+    """Raises `ValueError` when the nominal physics cannot be simulated over the record."""
+    with jax.enable_x64(True):
+        problem = build_problem(setup.physics, ())
+        record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
+        signals = record.signals(problem, 0)
+        _, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
+    finite = np.isfinite(x[0]).all((0, 2))
+    if not finite.all():
+        raise ValueError(
+            f"physics {setup.physics.name!r}: expected a free run that stays finite over the record, found states "
+            f"beyond the floating-point range from sample {int(np.argmin(finite))} on"
+        )
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+    started = time.perf_counter()
+    yield
+    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - started

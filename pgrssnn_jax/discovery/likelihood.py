@@ -1,0 +1,108 @@
+"""How well a fitted model predicts, how sure its numbers are, and what its noise is like, all from one linearisation.
+
+    e(β) = e - J β                                  log L = -½ n log Σ e²        (free-run errors, weighted)
+    A_j(z) e_j = ε_j                                A_j(z) = 1 - a_1 z⁻¹ - ... - a_p z⁻ᵖ, one per output
+    cov β = H⁻¹ (Σ_t ε_t² g_t g_tᵀ + Λ σ²) H⁻¹      H = JᵀJ + Λ,  g = A⁻ᵀ J,  Λ: precision of the prior
+
+Models are fitted by least squares, because they are to simulate; their noise may have a colour A of its own and be
+larger at some times than at others, which the sandwich keeps. The colour is estimated beside β by generalised least
+squares, or the fit would have bleached it. Sources: Cochrane, Orcutt, J. Am. Stat. Assoc. 44, 1949; White,
+Econometrica 48, 1980.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.signal import lfilter
+
+from pgrssnn_jax.discovery.noise import autoregression, correlation_time
+
+_ROUNDS = 3  # of Cochrane and Orcutt: with one, 10 % of tests at the 5 % level reject in AR(0.9) noise
+_RIDGE = 1e-10  # of a column's energy
+_TINY = 1e-300
+
+
+class Linearisation(NamedTuple):
+    """error `[seq, time, y]`, 0 where not measured; columns `[seq, time, y, k]`; measured; precision `[k]`: Λ, in units
+    of the weighted errors; pull `[k]`: Λ times what the prior expects of β."""
+
+    error: Float[np.ndarray, "seq time y"]
+    columns: Float[np.ndarray, "seq time y k"]
+    measured: Bool[np.ndarray, "seq time y"]
+    precision: Float[np.ndarray, " k"]
+    pull: Float[np.ndarray, " k"]
+
+
+class Noise(NamedTuple):
+    """filters `[y, p + 1]`: 1, -a_1, ...; innovations `[seq, time, y]`."""
+
+    filters: Float[np.ndarray, "y lag"]
+    innovations: Float[np.ndarray, "seq time y"]
+
+
+def left_out(
+    at: Linearisation, fold: Int[np.ndarray, "seq time"], block: int
+) -> tuple[Float[np.ndarray, " block"], Int[np.ndarray, " block"]]:
+    """Squared errors of every block of `block` samples by fits to the other folds, and how many samples they are."""
+    squares, counts = np.zeros(at.error.shape), at.measured & (fold >= 0)[..., None]
+    for f in range(int(fold.max(initial=0)) + 1):
+        rest = at.measured & (fold != f)[..., None]
+        left = at.error - at.columns @ _step(at, np.where(rest, 1.0, 0.0))
+        squares = np.where(counts & (fold == f)[..., None], left**2, squares)
+    edges = np.arange(0, at.error.shape[1], block)
+    return _sums(squares, edges), _sums(counts * 1, edges)
+
+
+def _sums(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.add.reduceat(values.sum(-1), edges, axis=1).ravel()
+
+
+def noise_of(at: Linearisation) -> Noise:
+    """Colour and innovations, at the generalised least squares estimate of β."""
+
+    def colour(left: Float[np.ndarray, "seq time y"]) -> Float[np.ndarray, "y lag"]:
+        return np.stack([autoregression(left[..., j], at.measured[..., j]) for j in range(left.shape[-1])])
+
+    left, filters = at.error, colour(at.error)
+    for _ in range(_ROUNDS):
+        variance = np.maximum((_filtered(left, filters) ** 2).mean((0, 1)), _TINY)
+        scaled = at._replace(error=_filtered(at.error, filters), columns=_filtered(at.columns, filters))
+        step = _step(scaled, at.measured / variance, at.error.var() + _TINY)
+        left = np.where(at.measured, at.error - at.columns @ step, 0.0)
+        filters = colour(left)
+    return Noise(filters, _filtered(left, filters))
+
+
+def covariance(at: Linearisation, noise: Noise, variance: float) -> tuple[Float[np.ndarray, "k k"], float]:
+    """Covariance of the least squares estimate, and its degrees of freedom: independent samples less numbers. variance:
+    of the weighted errors that the prior's precision belongs to."""
+    k = at.columns.shape[-1]
+    meat, normal, independent = np.diag(at.precision * variance), np.diag(at.precision), 0.0
+    for j, colour in enumerate(noise.filters):
+        n = int(at.measured[..., j].sum())
+        columns = at.columns[..., j, :] * at.measured[..., j, None]
+        g = np.asarray(lfilter([1.0], colour, columns[:, ::-1], axis=1))[:, ::-1]
+        own = _filtered(at.error, noise.filters)[..., j] ** 2 * n / max(n - k - len(colour) + 1, 1)
+        meat = meat + np.einsum("st,stk,stl->kl", own, g, g, optimize=True)
+        normal = normal + np.einsum("stk,stl->kl", columns, columns, optimize=True)
+        independent += n / correlation_time(colour)
+    size = np.sqrt(np.maximum(np.diag(normal), _TINY))
+    inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-10, hermitian=True) / size / size[:, None]
+    return inverse @ meat @ inverse, max(independent - k, 3.0)
+
+
+def _step(at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: float = 1.0) -> Float[np.ndarray, " k"]:
+    """β of weighted least squares; unit: variance that the prior's precision belongs to."""
+    k = at.columns.shape[-1]
+    columns, error = at.columns.reshape(-1, k), at.error.ravel()
+    weighted = columns * np.broadcast_to(weight, at.error.shape).reshape(-1, 1)
+    normal = weighted.T @ columns + np.diag(at.precision) / unit
+    size = np.sqrt(np.maximum(np.diag(normal), _TINY))
+    right = (weighted.T @ error + at.pull / unit) / size
+    return np.linalg.solve(normal / size / size[:, None] + _RIDGE * np.eye(k), right) / size
+
+
+def _filtered(values: np.ndarray, filters: Float[np.ndarray, "y lag"]) -> np.ndarray:
+    """A_j(z) of values `[seq, time, y, ...]`."""
+    return np.stack([lfilter(one, [1.0], values[:, :, j], axis=1) for j, one in enumerate(filters)], 2)

@@ -1,0 +1,185 @@
+"""Which effects are missing: steps forward, then every effect judged again against the model without it.
+
+Forward: of the candidates that beat the null, predict left-out blocks better and close a share of the gap, the one with
+the best score enters. Backward: every effect in turn is taken out; what does best in its place comes in, or nothing.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers
+from pgrssnn_jax.discovery.estimate import Guess
+from pgrssnn_jax.discovery.null import nats
+from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.discovery.settings import Criteria
+
+_ROUNDS = 2  # of steps forward and exchanges; a second one is rare
+
+
+class Selection(NamedTuple):
+    """recalibrated: no effect; final: with the effects found; screenings: of the catalogue without each of them, by its
+    name; first and last: those beside nothing and beside everything found; noise: variance of its white part."""
+
+    recalibrated: Model
+    final: Model
+    screenings: dict[str, Screening]
+    first: Screening
+    last: Screening
+    noise: float
+
+    @property
+    def floor(self) -> float:
+        """Weighted RMS error of the noise alone."""
+        return self.noise**0.5
+
+
+class Judge(NamedTuple):
+    """When a candidate counts. gap: RMS error of the recalibrated physics above that of the white noise."""
+
+    problem: Problem
+    criteria: Criteria
+    gap: float
+    noise: float
+
+    def counts(self, screening: Screening, candidate: Candidate) -> bool:
+        """Its gain is not luck, it predicts left-out blocks better by more than a standard error, and it closes its
+        share of the gap."""
+        if candidate.model is None or screening.redundant(candidate.name):
+            return False
+        alone = not screening.base.estimate.active
+        if screening.p_value(candidate) > (self.criteria.p_value if alone else self.criteria.further):
+            return False
+        better, error = candidate.model.better_than(screening.base)
+        if better <= self.criteria.standard_errors * error:
+            return False
+        closed, left = screening.rms() - screening.rms(candidate.model), screening.rms() - self.noise
+        return closed >= self.criteria.share * self.gap or closed >= self.criteria.rest * left > 0.0
+
+    def best(self, screening: Screening) -> Candidate | None:
+        """Of the candidates that count the one with the best score, or a simpler one within a standard error of it.
+        Source of the rule: Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2009, section 7.10."""
+        passing = [c for c in screening.candidates if self.counts(screening, c)]
+        if not passing:
+            return None
+        best = passing[0]
+        simpler = [c for c in passing[1:] if self._simpler(c, best) and _as_good(c, best)]
+        return simpler[0] if simpler else best
+
+    def _simpler(self, one: Candidate, other: Candidate) -> bool:
+        contained = one.name in self.problem.effect(other.name).simpler
+        return contained or count_of_numbers(self.problem, one.guess) < count_of_numbers(self.problem, other.guess)
+
+
+def _as_good(one: Candidate, best: Candidate) -> bool:
+    if one.model is None or best.model is None:
+        return False
+    worse, error = best.model.better_than(one.model)
+    return worse <= error
+
+
+def select(
+    problem: Problem,
+    start: Guess,
+    criteria: Criteria,
+    notify: Callable[[str], None],
+    screen: Callable[[Guess | Model], Screening],
+) -> Selection:
+    """From a recalibrated guess without effects to the model that explains the record. screen: the scores of the whole
+    catalogue beside a model."""
+    known: dict[tuple[str, ...], Screening] = {}
+
+    def screened(base: Guess | Model) -> Screening:
+        active = base.active if isinstance(base, Guess) else base.estimate.active
+        key = tuple(sorted(active))
+        if key not in known or (isinstance(base, Model) and base.score > known[key].base.score + 1.0):
+            known[key] = screen(base)
+            best = known[key].candidates[:3]
+            notify(
+                f"beside {', '.join(active) or 'the physics'}: " + ", ".join(f"{c.name} {c.gain:+.1f}" for c in best)
+            )
+        return known[key]
+
+    first = screened(start)
+    noise = first.noise**0.5
+    if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
+        judge = Judge(problem, criteria, first.rms(), float("inf"))
+    else:
+        judge = Judge(problem, criteria, max(first.rms() - noise, 0.0), noise)
+    model = _settled(judge, screened, first.base)
+    for other in _other_beginnings(criteria, first, model):
+        found = _settled(judge, screened, other)
+        if found.better_than(model)[0] > found.better_than(model)[1]:
+            model = found
+    last, screenings = _judged(problem, screened, model)
+    if screenings and min(_p_value(one, name) for name, one in screenings.items()) > criteria.p_value:
+        alone = judge.best(first)  # none is certain beside the others
+        last, screenings = _judged(problem, screened, alone.model if alone and alone.model else first.base)
+    return Selection(first.base, last.base, screenings, first, last, min(first.noise, last.noise))
+
+
+def _judged(
+    problem: Problem, screened: Callable[[Guess | Model], Screening], model: Model
+) -> tuple[Screening, dict[str, Screening]]:
+    """The screening beside a model, and those without each of its effects."""
+    last = screened(model)
+    names = model.estimate.active
+    return last, {name: _with_known(screened(without(problem, model, name)), last) for name in names}
+
+
+def _p_value(screening: Screening, name: str) -> float:
+    return next(screening.p_value(c) for c in screening.candidates if c.name == name)
+
+
+def _settled(judge: Judge, screened: Callable[[Guess | Model], Screening], model: Model) -> Model:
+    """Forward steps and exchanges until nothing changes."""
+    for _ in range(_ROUNDS):
+        before = set(model.estimate.active)
+        while len(model.estimate.active) < judge.criteria.most:
+            best = judge.best(screened(model))
+            if best is None or best.model is None:
+                break
+            model = best.model
+        model = _pruned(judge, screened, model)
+        if set(model.estimate.active) == before or not model.estimate.active:
+            break
+    return model
+
+
+def _pruned(judge: Judge, screened: Callable[[Guess | Model], Screening], model: Model) -> Model:
+    """Every effect in turn, the first that came in first: what is best in its place, if anything?"""
+    for name in model.estimate.active:
+        if name not in model.estimate.active:
+            continue  # it left with another one
+        smaller = _with_known(screened(without(judge.problem, model, name)), screened(model))
+        best = judge.best(smaller)
+        model = smaller.base if best is None or best.model is None else best.model
+    return model
+
+
+def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Sequence[Model]:
+    """The effect that does best alone may be none of two that only do well together."""
+    left = first.rms(model) > criteria.above * first.noise**0.5
+    others = [c.model for c in first.candidates if c.model and c.name not in model.estimate.active]
+    return others[: criteria.beam] if left else []
+
+
+def _with_known(screening: Screening, beside: Screening) -> Screening:
+    """The screening without an effect, with the model that has it in the place of a worse fit of it."""
+    fitted = beside.base
+    (name,) = set(fitted.estimate.active) - set(screening.base.estimate.active)
+    own = next((c for c in screening.candidates if c.name == name), None)
+    other_segments = fitted.counts.shape != screening.base.counts.shape  # scores of longer ones do not compare
+    if other_segments or (own is not None and own.score >= fitted.score):
+        return screening
+    gain = nats(1.0 - fitted.estimate.cost / screening.base.estimate.cost, screening.size)
+    known = Candidate(name, float(gain), fitted.estimate.guess, fitted)
+    others = [c for c in screening.candidates if c.name != name]
+    return screening._replace(candidates=tuple(sorted((known, *others), key=lambda c: (-c.score, -c.gain))))
+
+
+def without(problem: Problem, model: Model, name: str) -> Guess:
+    """A guess without one effect, its numbers neutral."""
+    guess = model.estimate.guess
+    theta = guess.theta.copy()
+    theta[problem.of(name)] = problem.theta[problem.of(name)]
+    return Guess(tuple(n for n in guess.active if n != name), theta, guess.x0)

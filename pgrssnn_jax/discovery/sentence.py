@@ -1,0 +1,63 @@
+"""A discovery in one sentence."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pgrssnn_jax.discovery.discover import Discovery
+from pgrssnn_jax.discovery.noise import autoregression, correlation_time
+from pgrssnn_jax.discovery.verdict import Verdict
+
+
+def sentence(
+    found: Discovery,
+    gap: Mapping[str, Any],
+    effects: Sequence[Mapping[str, Any]],
+    alternatives: Sequence[Mapping[str, Any]],
+) -> str:
+    """gap, effects, alternatives: as in `discovery.json`."""
+    unit = f" {gap['unit']}" if gap["unit"] else ""
+    before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
+    verdict = found.judgement.verdict
+    errors = f"test {gap['metric']} {before:.3g}{unit} nominal, {fitted:.3g}{unit} recalibrated"
+    if verdict is Verdict.NO_DISCREPANCY:
+        return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
+    if verdict is Verdict.MISCALIBRATED:
+        return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
+    if verdict is Verdict.UNKNOWN_EFFECT:
+        return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}."
+    if verdict is Verdict.UNEXPLAINED:
+        return f"{_unexplained(found)}; {errors}."
+    titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
+    closed, share = f"{errors}, {after:.3g}{unit} with it", 100 * gap["closed_fraction"]
+    if verdict is Verdict.NOT_CONFIRMED:
+        return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
+    left = f"{share:.0f} % of the gap above the noise closed, {max(100 - share, 0):.0f} % open"
+    if verdict is Verdict.AMBIGUOUS:
+        others = ", ".join(sorted({other["name"] for other in alternatives}))
+        return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
+    return f"Missing: {titles}; {closed} ({left})."
+
+
+def _unexplained(found: Discovery) -> str:
+    selection = found.selection
+    ratio = selection.last.rms() / selection.floor if selection.floor > 0 else math.inf
+    error = selection.final.estimate.error
+    memory = max(correlation_time(autoregression(error[..., j])) for j in range(error.shape[-1]))
+    return (
+        f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for them: noise with a memory of "
+        f"{memory:.0f} samples, or an unmeasured disturbance"
+    )
+
+
+def _nameless(found: Discovery) -> str:
+    """What is known of something without a name."""
+    if found.formula is not None:
+        return found.formula.text
+    if found.nameless.line is not None:
+        return "a periodic disturbance"
+    share = found.nameless.follows.share if found.nameless.follows else 0.0
+    return (
+        f"the errors follow the signals ({100 * share:.0f} % of their energy), but no curve of one signal in one "
+        "equation says how: a memory or a hard stop may"
+    )

@@ -1,0 +1,171 @@
+"""The test record, touched once, after everything has been decided.
+
+Every model (nominal, recalibrated, with the effects) is simulated from its start: that of the estimation record where
+both share it, else one fitted to the first n_init samples of the test record, which then do not count. Intervals come
+from a block bootstrap whose blocks are longer than the errors remember.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
+from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.noise import autoregression, correlation_time
+from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
+from pgrssnn_jax.discovery.setup import Setup, Start
+from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.training import metrics
+
+_RESAMPLED = 400
+_SHORTEST, _LEAST_BLOCKS = 16, 8  # samples of a block at least, and blocks of a sequence
+
+
+class Metric(NamedTuple):
+    """name: RMSE, or NRMSE (RMSE / standard deviation) for several outputs; n_init: samples that do not count."""
+
+    name: str
+    unit: str
+    n_init: int
+
+    def of(self, record: Record, y: Float[np.ndarray, "seq time y"]) -> float:
+        function = metrics.nrmse if self.name == "NRMSE" else metrics.rmse
+        found = function(measured=record.y, predicted=y, mask=record.mask, n_init=self.n_init)
+        return float(np.mean(found))
+
+
+class Validation(NamedTuple):
+    """y `[seq, time, y]` and x of the free run on a record; error: the metric, mean over outputs; interval: 95 %."""
+
+    y: Float[np.ndarray, "seq time y"]
+    x: Float[np.ndarray, "seq time x"]
+    error: float
+    interval: tuple[float, float]
+
+
+class Validations(NamedTuple):
+    """The same record by the nominal physics, recalibrated, and with what was found. improvement: 95 % interval of
+    the fall of the error from the second to the third; relative: error of the third over the standard deviation of the
+    record; without: errors of the final model without each effect in turn."""
+
+    before: Validation
+    recalibrated: Validation
+    after: Validation
+    metric: Metric
+    improvement: tuple[float, float]
+    relative: float
+    without: Mapping[str, float]
+
+    @property
+    def models(self) -> dict[str, Validation]:
+        return {"before": self.before, "recalibrated": self.recalibrated, "after": self.after}
+
+
+def train_validations(
+    problem: Problem, record: Record, guesses: Sequence[Guess], start: Float[np.ndarray, "seq x"] | None
+) -> Validations:
+    """start: of sequences whose fits saw segments; None: as fitted."""
+    starts = [guess.x0 if start is None else start for guess in guesses]
+    return _validations(problem, record, guesses, starts, _metric(record, 0), {})
+
+
+def validations_on_test(
+    problem: Problem, setup: Setup, guesses: Sequence[Guess], without: Mapping[str, Guess], settings: Settings
+) -> Validations:
+    metric = _metric(setup.test, 0 if setup.start is not Start.UNKNOWN else setup.settings.n_init)
+
+    def start(guess: Guess) -> Float[np.ndarray, "seq x"]:
+        count = (len(setup.test.u), guess.x0.shape[1])
+        if setup.start is Start.AT_REST:
+            return np.zeros(count)
+        if setup.start is Start.SHARED:
+            return np.broadcast_to(guess.x0[:1], count)
+        return _fitted_start(problem, setup.test, guess, metric.n_init, settings)
+
+    alone = {name: _simulated(problem, setup.test, guess, start(guess)) for name, guess in without.items()}
+    errors = {name: metric.of(setup.test, y) for name, (y, _) in alone.items()}
+    return _validations(problem, setup.test, guesses, [start(guess) for guess in guesses], metric, errors)
+
+
+def _validations(
+    problem: Problem,
+    record: Record,
+    guesses: Sequence[Guess],
+    starts: Sequence[Float[np.ndarray, "seq x"]],
+    metric: Metric,
+    without: Mapping[str, float],
+) -> Validations:
+    runs = [_simulated(problem, record, guess, x0) for guess, x0 in zip(guesses, starts, strict=True)]
+    drawn = _resampled(record, [y for y, _ in runs], metric)
+    found = [
+        Validation(y, x, metric.of(record, y), _interval(errors)) for (y, x), errors in zip(runs, drawn, strict=True)
+    ]
+    relative = metric._replace(name="NRMSE").of(record, runs[-1][0])
+    before, recalibrated, after = found
+    return Validations(before, recalibrated, after, metric, _interval(drawn[1] - drawn[2]), relative, without)
+
+
+def _metric(record: Record, n_init: int) -> Metric:
+    if len(record.info.outputs) > 1:
+        return Metric("NRMSE", "", n_init)
+    return Metric("RMSE", "".join(channel.unit for channel in record.info.outputs), n_init)
+
+
+def _simulated(
+    problem: Problem, record: Record, guess: Guess, x0: Float[np.ndarray, "seq x"]
+) -> tuple[Float[np.ndarray, "seq time y"], Float[np.ndarray, "seq time x"]]:
+    y, x = simulate(problem, np.asarray(record.u, np.float64), guess.theta[None], x0[None])
+    return y[0], x[0]
+
+
+def _fitted_start(
+    problem: Problem, record: Record, guess: Guess, n_init: int, settings: Settings
+) -> Float[np.ndarray, "seq x"]:
+    """x_0 of every sequence from its first n_init samples, with θ as it is."""
+    u, y, mask = (np.asarray(a)[:, :n_init] for a in (record.u, record.y, record.mask))
+    u, y = u.astype(np.float64), y.astype(np.float64)
+    spread = np.nanstd(np.where(record.mask, record.y, np.nan), axis=(0, 1))
+    weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
+    start = start_guess(problem.full, u, y, mask)
+    signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, np.zeros(start.shape))
+    ((fitted, _),) = fit_all(problem, signals, [guess._replace(x0=start)], settings, only_start=True)
+    return fitted.x0
+
+
+def _interval(drawn: Float[np.ndarray, " draw"]) -> tuple[float, float]:
+    with np.errstate(invalid="ignore", over="ignore"):
+        low, high = np.quantile(drawn, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _resampled(
+    record: Record, predicted: Sequence[Float[np.ndarray, "seq time y"]], metric: Metric
+) -> list[Float[np.ndarray, " draw"]]:
+    """The metric of every model on the same blocks, drawn with replacement."""
+    n_seq, time = record.u.shape[:2]
+    measured, mask = np.asarray(record.y, np.float64), np.asarray(record.mask)
+    left = np.where(mask, measured - predicted[-1], 0.0)
+    length = _block(left)
+    blocks = [(s, t) for s in range(n_seq) for t in range(metric.n_init, time, length)]
+    drawn = np.random.default_rng(0).integers(0, len(blocks), (_RESAMPLED, len(blocks)))
+    scale = np.ones(measured.shape[-1])
+    if metric.name == "NRMSE":
+        scale = np.nanstd(np.where(mask, measured, np.nan)[:, metric.n_init :], axis=(0, 1))
+    counts = np.stack([mask[s, t : t + length].sum(0) for s, t in blocks])[drawn].sum(1)
+    found = []
+    for y in predicted:
+        squares = np.where(mask, (measured - y) ** 2, 0.0)
+        sums = np.stack([squares[s, t : t + length].sum(0) for s, t in blocks])
+        with np.errstate(invalid="ignore", over="ignore"):
+            found.append((np.sqrt(sums[drawn].sum(1) / counts) / scale).mean(-1))
+    return found
+
+
+def _block(error: Float[np.ndarray, "seq time y"]) -> int:
+    """Samples over which errors forget twice over; a sequence keeps some blocks."""
+    if not np.isfinite(error).all():
+        return _SHORTEST
+    remembered = max(correlation_time(autoregression(error[..., j])) for j in range(error.shape[-1]))
+    return int(np.clip(2.0 * remembered, _SHORTEST, max(_SHORTEST, error.shape[1] // _LEAST_BLOCKS)))

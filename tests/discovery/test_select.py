@@ -1,0 +1,132 @@
+"""Which effects are taken, dropped and exchanged, and which beginnings are followed: screenings made by hand."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from discovery.by_hand import LIKELY, NOISE, model, neutral, screening
+
+from pgrssnn_jax.discovery.candidates import Screening
+from pgrssnn_jax.discovery.estimate import Guess
+from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.select import Judge, _with_known, select
+from pgrssnn_jax.discovery.settings import Criteria
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.linear import lgssm
+from pgrssnn_jax.physics.tanks import cascaded_tanks
+
+A, B, C = "input_offset", "sensor_offset", "quadratic_damping"
+RICH, LEAN = "pump_nonlinearity", "outlet_exponent"  # two numbers, and one that pump_nonlinearity does not contain
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    physics = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
+    return build_problem(physics, [e for e in catalogue(physics) if e.name in (A, B, C)], accelerate=False)
+
+
+@pytest.fixture(scope="module")
+def tanks() -> Problem:
+    physics = cascaded_tanks()
+    return build_problem(physics, [e for e in catalogue(physics) if e.name in (RICH, LEAN)], accelerate=False)
+
+
+def found(problem: Problem, energies: Mapping[str, float], p_value: Mapping[str, float] | None = None, **seen) -> str:
+    """energies: of the errors with the effects in "A B", in units of the noise's; a set that is not given does as well
+    as the best within it. p_value: of "A beside B C". Names are the letters above."""
+    letters = {"A": A, "B": B, "C": C}
+    given = {frozenset(letters[k] for k in names.split()): energy for names, energy in energies.items()}
+
+    def energy(active) -> float:
+        return min(e for names, e in given.items() if names <= set(active))
+
+    def screen(base) -> Screening:
+        active = base.active if isinstance(base, Guess) else base.estimate.active
+        own = model(problem, energy(active), active)
+        others = [name for name in (A, B, C) if name not in active]
+        beside = " ".join(k for k, name in letters.items() if name in active)
+        chances = {letters[k.split()[0]]: p for k, p in (p_value or {}).items() if k[2:] == f"beside {beside}".strip()}
+        models = {name: model(problem, energy((*active, name)), (*active, name)) for name in others}
+        return screening(own, models, {k: p for k, p in chances.items() if k in models}, **seen)
+
+    selection = select(problem, neutral(problem), Criteria(), lambda line: None, screen)
+    assert set(selection.screenings) == set(selection.final.estimate.active)
+    return " ".join(k for k, name in letters.items() if name in selection.final.estimate.active)
+
+
+def test_nothing_is_found_in_noise(problem):
+    assert found(problem, {"": 1.0}) == ""
+
+
+def test_a_pair_is_found(problem):
+    assert found(problem, {"": 400.0, "A": 100.0, "B": 200.0, "A B": 1.0}) == "A B"
+
+
+def test_a_pair_of_which_neither_does_best_alone_is_found(problem):
+    """Alone, an offset at the input is one at the output; beside what bends it is not."""
+    assert found(problem, {"": 400.0, "A": 3.0, "B": 4.0, "B C": 1.0}) == "B C"
+
+
+def test_an_effect_that_brings_little_is_not_taken(problem):
+    assert found(problem, {"": 400.0, "A": 100.0, "A B": 98.0}) == "A"
+
+
+def test_what_came_in_first_leaves_when_it_brings_nothing_any_more(problem):
+    assert found(problem, {"": 400.0, "A": 50.0, "B": 60.0, "C": 70.0, "B C": 1.0}) == "B C"
+
+
+@pytest.mark.parametrize(("p_value", "expected"), [(1e-4, "B"), (LIKELY, "")])
+def test_an_effect_alone_must_be_certain_wherever_the_search_began(problem, p_value, expected):
+    assert found(problem, {"": 400.0, "B": 100.0}, {"B beside": p_value}) == expected
+
+
+def test_a_survivor_that_came_in_as_a_partner_is_judged_alone_again(problem):
+    """B was enough beside A; A is not needed beside B, and B alone is not certain, A is."""
+    energies = {"": 400.0, "A": 100.0, "B": 20.0}
+    assert found(problem, energies, {"B beside": LIKELY, "B beside A": LIKELY}) == "A"
+    assert found(problem, energies) == "B"
+
+
+def test_a_partner_of_an_effect_that_is_certain_needs_less(problem):
+    energies = {"": 400.0, "A": 100.0, "A B": 20.0}
+    assert found(problem, energies, {"B beside A": LIKELY}) == "A B"
+    assert found(problem, energies, {"B beside A": 0.1}) == "A"
+
+
+def test_what_the_parameters_can_do_exactly_is_no_effect(problem):
+    energies = {"": 400.0, "A": 1.0, "C": 2.0}
+    assert found(problem, energies, visible={A: (100.0, 50.0)}) == "A"
+    assert found(problem, energies, visible={A: (100.0, 1e-25)}) == "C"
+
+
+def chosen(tanks: Problem, rich: np.ndarray, lean: np.ndarray) -> str:
+    """Which of two enters, from its errors; the physics alone has ten times the noise."""
+    base = model(tanks, 100.0)
+    models = {name: model(tanks, 1.0, (name,), error) for name, error in ((RICH, rich), (LEAN, lean))}
+    best = Judge(tanks, Criteria(), gap=9.0, noise=1.0).best(screening(base, models))
+    assert best is not None
+    return best.name
+
+
+def test_of_two_that_predict_as_well_the_one_with_fewer_numbers_enters(tanks):
+    other = NOISE + 0.05 * np.random.default_rng(1).standard_normal(NOISE.shape)
+    assert chosen(tanks, rich=NOISE, lean=other) == LEAN
+
+
+def test_the_better_one_enters_whichever_has_fewer_numbers(tanks):
+    assert chosen(tanks, rich=NOISE, lean=1.2 * NOISE) == RICH
+    assert chosen(tanks, rich=1.2 * NOISE, lean=NOISE) == LEAN
+
+
+@pytest.mark.parametrize("others", [{A: 3.0, B: 2.0}, {B: 2.0}])
+def test_a_worse_fit_of_what_was_taken_out_does_not_let_an_imitator_in(problem, others):
+    """Nor does none at all: the model that had it is known."""
+    models = {name: model(problem, energy, (name,)) for name, energy in others.items()}
+    known = _with_known(screening(model(problem, 9.0), models), screening(model(problem, 1.0, (A,)), {}))
+    assert [candidate.name for candidate in known.candidates] == [A, B]
+    assert known.candidates[0].gain == pytest.approx(0.5 * NOISE.size * np.log(9.0))
+
+
+def test_a_better_fit_stands(problem):
+    smaller = screening(model(problem, 9.0), {A: model(problem, 0.5, (A,)), B: model(problem, 2.0, (B,))})
+    assert _with_known(smaller, screening(model(problem, 1.0, (A,)), {})) is smaller
