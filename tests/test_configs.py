@@ -41,7 +41,7 @@ def test_hydra_lists_the_configurations_without_copying_their_store():
     assert copy.deepcopy(store) is store
 
 
-FAST = ("pg_rssnn_fb", "w_pgnn")  # with feedback, and the one with a network inside
+FAST = ("w_pgnn",)  # the one with a network inside; others train in the tests of the commands
 
 
 @pytest.mark.parametrize("model", [m if m in FAST else pytest.param(m, marks=pytest.mark.slow) for m in MODELS])
