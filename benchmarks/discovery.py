@@ -26,12 +26,12 @@ from hidden.score import Row, is_right, scores
 from hidden.suite import KINDS, Plan
 from rich.console import Console
 
+from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery, discover_in
 from pgrssnn_jax.discovery.finding import interval
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
-from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.training.settings import training_settings
@@ -51,7 +51,7 @@ def main() -> None:
     known = _known(arguments.json, code)
     rows = []
     for system in arguments.systems:
-        problems: list[tuple[Problem, Problem]] = []
+        problems: list[tuple[Problem, Corrected]] = []
         for seed in arguments.seeds:
             for plan in suite.plans(system, arguments.cases, seed, arguments.kinds, arguments.noises):
                 plan = plan._replace(in_other_units=arguments.units and system != "arm")
@@ -64,17 +64,18 @@ def main() -> None:
     console.print(scores(rows))
 
 
-def _one(plan: Plan, problems: list[tuple[Problem, Problem]], *, sindy: bool) -> Row:
+def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) -> Row:
     """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
     case = suite.build(plan)
     setup = _set_up(case, plan.removed)
     if plan.in_other_units or not problems:  # units are part of the program
         problems.clear()
         problem = build_problem(setup.physics, setup.effects, fixed=setup.settings.fixed)
-        problems.append((problem, flexible_problem(problem)))
-    problem, flexible = (one.with_numbers(setup.physics.params) for one in problems[0])
+        problems.append((problem, Corrected()))
+    problem, corrected = problems[0]
+    problem = problem.with_numbers(setup.physics.params)
     started = time.perf_counter()
-    found = discover_in(problem, setup, lambda line: None, flexible)
+    found = discover_in(problem, setup, lambda line: None, corrected)
     seconds = time.perf_counter() - started
     selection, judgement = found.selection, found.judgement
     screenings, unnamed = selection.screenings, judgement.unnamed

@@ -8,6 +8,7 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 from . import chain, duffing, pendulum, servo, units
 from .case import Case
+from .rig import REFERENCE_LEVEL
 
 # True numbers by the names that the nominal physics has for them; a linear system's depend on its coordinates.
 _NAMES = {"pendulum": {"l": "length", "d": "damping"}}
@@ -34,7 +35,9 @@ def true_parameters(case: Case) -> dict[str, float]:
     """Numbers of the plant by the names of the nominal physics."""
     if case.system in _NOT_COMPARED:
         return {}
-    known = case.magnitudes["parameters"]
+    known = dict(case.magnitudes["parameters"])
+    if "exponent" in case.magnitudes:  # the plant's outlet keeps its flow at REFERENCE_LEVEL, the effect its k4
+        known["k4"] *= REFERENCE_LEVEL ** (0.5 - case.magnitudes["exponent"])
     names = _NAMES.get(case.system, {name: name for name in known})
     factors = {name: units.parameter_factor(case.system, name, case.units) for name in names}
     return {name: float(known[there]) * factors[name] for name, there in names.items()}

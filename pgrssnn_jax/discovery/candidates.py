@@ -1,30 +1,22 @@
 """One screening of the whole catalogue beside a model: every effect fitted roughly from each of its starting values,
 the best of them to the end, and the distribution of the best gain by luck alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery import likelihood
-from pgrssnn_jax.discovery.estimate import (
-    Estimate,
-    Guess,
-    Settings,
-    fit_all,
-    free_places,
-    signal_range_of,
-)
-from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
+from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, signal_range_of
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
+from pgrssnn_jax.discovery.linearise import Run, added, linearisation, promised_cost, runs, visible
 from pgrssnn_jax.discovery.noise import noise_floor
-from pgrssnn_jax.discovery.null import Null, beside, nats, null_distribution, orthonormal
+from pgrssnn_jax.discovery.null import Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
 
 _ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
-_RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
 _AT_EACH = 2  # starting values of an effect from which it is fitted
 
 
@@ -108,53 +100,75 @@ def score_candidates(
     """base: a guess is fitted first, also from the nominal physics and start, because an effect that is taken out again
     may have let them go."""
     if isinstance(base, Guess):
-        fresh = base._replace(x0=signals.start)
-        own = problem.of(None)
-        nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
-        best = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])[0]
-        (base,) = fitted_models(problem, signals, [best], settings, criteria.block)
+        base = _fitted_base(problem, signals, base, settings, criteria)
     here, guesses = base.estimate.guess, _beside(problem, signals, base.estimate.guess, without)
-    run, *runs = _runs(problem, signals, [here, *guesses], settings)
-    at, _ = _linearisation(problem, signals, here, run)
-    added = [_added(at, run, one) for one in runs]
-    named = [(guess.active[-1], columns) for guess, columns in zip(guesses, added, strict=True)]
-    found = _candidates(problem, signals, base, guesses, settings, criteria)
-    least = int(np.ceil(1.0 / criteria.p_value))
-    null = null_distribution(at, noise_of(at), named, criteria.draws, least, rng)
-    best = next((c for c in found if c.model), None)
-    if best and null.p_value(best.name, best.gain) > criteria.p_value:
-        # errors that an effect has left have a colour, which would swallow it: the noise is what its fit leaves
-        (fitted,) = _runs(problem, signals, [best.guess], settings)
-        left = noise_of(_linearisation(problem, signals, best.guess, fitted)[0])
-        other = null_distribution(at, left, named, criteria.draws, least, rng)
-        null = min(null, other, key=lambda one: one.p_value(best.name, best.gain))
-    tried = [base, *(c.model for c in found if c.model)]
-    return Screening(base, tuple(found), null, _visible(at, named), *size_and_noise(signals, tried))
-
-
-def _candidates(
-    problem: Problem,
-    signals: Signals,
-    base: Model,
-    guesses: Sequence[Guess],
-    settings: Settings,
-    criteria: Criteria,
-) -> list[Candidate]:
-    """Every effect after a few steps, the most promising ones at their optimum; the best first."""
-    if not guesses:
-        return []
+    run, *begun = runs(problem, signals, [here, *guesses], settings)
+    at, _ = linearisation(problem, signals, here, run)
+    named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
+    cost = base.estimate.cost + problem.penalty(here.theta)
     size = max(1, int((signals.weight > 0).sum()))
-    cost = base.estimate.cost + problem.penalty(base.estimate.theta)
-    rough = fit_all(problem, signals, guesses, settings._replace(steps=settings.rough))
-    best = _best_of_each(fit_all(problem, signals, _finalists(rough, criteria.finalists), settings))
+    rough = fit_all(
+        problem, signals, _promising(problem, guesses, begun, settings), settings._replace(steps=settings.rough)
+    )
+    rough = sorted(((g, low) for g, low in rough if np.isfinite(low)), key=lambda found: found[1])
+    gains = {guess.active[-1]: float(nats(1.0 - low / cost, size)) for guess, low in reversed(rough)}
+    null = _null(problem, signals, (at, named), rough[0][0] if rough else None, gains, settings, criteria, rng)
+    hopeful = any(null.p_value(name, gain) <= criteria.hopeless for name, gain in gains.items())
+    finalists = _finalists(rough, criteria.finalists) if hopeful else []
+    best = _best_of_each(fit_all(problem, signals, finalists, settings))
     models = fitted_models(problem, signals, [guess for guess, _ in best], settings, criteria.block)
     fitted = {model.estimate.active[-1]: model for model in models}
-    reached = {guess.active[-1]: (guess, cost) for guess, cost in (*_best_of_each(rough), *best)}
+    reached = {guess.active[-1]: (guess, low) for guess, low in (*_best_of_each(rough), *best)}
     found = [
         Candidate(name, float(nats(1.0 - low / cost, size)), guess, fitted.get(name))
         for name, (guess, low) in reached.items()
     ]
-    return sorted(found, key=lambda c: (-c.score, -c.gain))
+    found.sort(key=lambda c: (-c.score, -c.gain))
+    return Screening(base, tuple(found), null, visible(at, named), *size_and_noise(signals, [base, *models]))
+
+
+def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Settings, criteria: Criteria) -> Model:
+    fresh = base._replace(x0=signals.start)
+    own = problem.of(None)
+    nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
+    best = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])[0]
+    (model,) = fitted_models(problem, signals, [best], settings, criteria.block)
+    return model
+
+
+def _promising(problem: Problem, guesses: Sequence[Guess], begun: Sequence[Run], settings: Settings) -> list[Guess]:
+    """Every effect from the start of which one linear step promises most, and as many other starts as there is room
+    for in whole programs."""
+    costs = [promised_cost(problem, guess, run) for guess, run in zip(guesses, begun, strict=True)]
+    ordered = [guesses[i] for i in np.argsort(costs, kind="stable")]
+    first = {guess.active[-1]: guess for guess in reversed(ordered)}
+    others = [guess for guess in ordered if guess is not first[guess.active[-1]]]
+    room = -(-len(first) // settings.lanes) * settings.lanes - len(first)
+    return [*first.values(), *others[:room]]
+
+
+def _null(
+    problem: Problem,
+    signals: Signals,
+    base: tuple[Linearisation, Sequence[tuple[str, Float[np.ndarray, "n _"]]]],
+    best: Guess | None,
+    gains: Mapping[str, float],
+    settings: Settings,
+    criteria: Criteria,
+    rng: np.random.Generator,
+) -> Null:
+    """base: its linearisation, and what effects add to it. Where the best one fails, also with the noise that its own
+    fit leaves: errors that an effect has left have a colour, which would swallow it."""
+    at, named = base
+    least = int(np.ceil(1.0 / criteria.p_value))
+    null = null_distribution(at, noise_of(at), named, criteria.draws, least, rng)
+    name = best.active[-1] if best else ""
+    if best is None or null.p_value(name, gains[name]) <= criteria.p_value:
+        return null
+    (run,) = runs(problem, signals, [best], settings)
+    left = noise_of(linearisation(problem, signals, best, run)[0])
+    other = null_distribution(at, left, named, criteria.draws, least, rng)
+    return min(null, other, key=lambda one: one.p_value(name, gains[name]))
 
 
 def size_and_noise(signals: Signals, tried: Sequence[Model]) -> tuple[int, float]:
@@ -168,8 +182,8 @@ def fitted_models(
 ) -> list[Model]:
     """Guesses at their optimum, scored there."""
     found = []
-    for guess, run in zip(guesses, _runs(problem, signals, guesses, settings), strict=True):
-        at, free = _linearisation(problem, signals, guess, run)
+    for guess, run in zip(guesses, runs(problem, signals, guesses, settings), strict=True):
+        at, free = linearisation(problem, signals, guess, run)
         covariance, freedom = likelihood.covariance(at, noise_of(at), problem.noise)
         deviation = np.zeros(len(guess.theta))
         deviation[free] = np.sqrt(np.maximum(np.diag(covariance)[: len(free)], 0.0))
@@ -187,83 +201,6 @@ def _beside(problem: Problem, signals: Signals, base: Guess, without: Sequence[s
         if effect.name not in (*base.active, *without)
         for numbers in effect.guesses(span)
     ]
-
-
-class _Run(NamedTuple):
-    """places `[k]`: free positions of θ; error `[seq, time, y]`: weighted; columns `[seq, time, y, k + s]`:
-    weighted sensitivities of the free run."""
-
-    places: Int[np.ndarray, " k"]
-    error: Float[np.ndarray, "seq time y"]
-    columns: Float[np.ndarray, "seq time y d"]
-
-
-def _runs(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings) -> list[_Run]:
-    if not guesses:
-        return []
-    found = []
-    lanes_at_once = settings.lanes if len(guesses) > settings.devices else len(guesses)
-    for i in range(0, len(guesses), lanes_at_once):
-        part = list(guesses[i : i + lanes_at_once])
-        padded = part + [part[-1]] * (lanes_at_once - len(part))
-        places = free_places(problem, padded, settings)
-        lanes = Lanes(np.stack([g.theta for g in padded]), np.stack([g.x0 for g in padded]), places)
-        y, dy = sensitivity(problem, signals, lanes)
-        error = np.where(signals.weight > 0, signals.weight * (signals.y - y), 0.0)
-        error, dy = (np.where(np.abs(a) < _RUN_AWAY, a, 0.0) for a in (error, signals.weight[..., None] * dy))
-        for k in range(len(part)):
-            used = np.flatnonzero(places[k] >= 0)
-            columns = dy[k][..., np.concatenate([used, np.arange(places.shape[1], dy.shape[-1])])]
-            found.append(_Run(places[k][used], error[k], columns))
-    return found
-
-
-def _linearisation(
-    problem: Problem, signals: Signals, guess: Guess, run: _Run
-) -> tuple[Linearisation, Int[np.ndarray, " k"]]:
-    """Of a model at its present numbers, without those that stand at a bound; with the positions that are left."""
-    theta = guess.theta[run.places]
-    inside = (theta > problem.low[run.places]) & (theta < problem.high[run.places])
-    free = run.places[inside]
-    starts = np.arange(len(run.places), run.columns.shape[-1])
-    columns = _starts_apart(run.columns[..., np.concatenate([np.flatnonzero(inside), starts])], len(free))
-    precision, pull = np.zeros((2, columns.shape[-1]))
-    precision[: len(free)] = problem.precision[free]
-    given = np.where(problem.precision[free] > 0, problem.theta[free], guess.theta[free])  # may be infinite without
-    pull[: len(free)] = precision[: len(free)] * (given - guess.theta[free])
-    return Linearisation(run.error, columns, signals.weight > 0, precision, pull), free
-
-
-def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "seq time y m"]:
-    """Derivatives by θ as they are, and columns of their own for the initial state of every sequence."""
-    n_seq, time, n_y, width = dy.shape
-    local = np.zeros((n_seq, time, n_y, n_seq, width - k))
-    for i in range(n_seq):
-        local[i, :, :, i] = dy[i, ..., k:]
-    return np.concatenate([dy[..., :k], local.reshape(n_seq, time, n_y, -1)], -1)
-
-
-def _added(at: Linearisation, here: _Run, run: _Run) -> Float[np.ndarray, "n m"]:
-    """What a candidate adds at its start: displacement of the free run, and derivatives by its own numbers."""
-    own = np.flatnonzero(~np.isin(run.places, here.places))
-    moved = (here.error - run.error)[..., None]
-    columns = np.concatenate([moved, run.columns[..., own]], -1)
-    return columns.reshape(at.error.size, -1)
-
-
-def _visible(
-    at: Linearisation, added: Sequence[tuple[str, Float[np.ndarray, "n _"]]]
-) -> dict[str, tuple[float, float]]:
-    """Per effect the energy of its displacement, and what of it the model's free numbers cannot take up."""
-    measured = at.measured.ravel()
-    nuisance = orthonormal(at.columns.reshape(at.error.size, -1) * measured[:, None])
-    visible: dict[str, tuple[float, float]] = {}
-    for name, columns in added:
-        displacement = columns[:, :1] * measured[:, None]
-        left = beside(displacement, nuisance)
-        seen = visible.get(name, (0.0, 0.0))
-        visible[name] = (max(seen[0], float((displacement**2).sum())), max(seen[1], float((left**2).sum())))
-    return visible
 
 
 def _finalists(rough: Sequence[tuple[Guess, float]], most: int) -> list[Guess]:

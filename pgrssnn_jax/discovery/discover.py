@@ -6,16 +6,19 @@ record, physics ──> recalibrated ──> selected effects ──> correction
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.estimate import Guess, evaluate
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.nonparametric import Corrections
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
 from pgrssnn_jax.discovery.scoring import Scoring, scoring
@@ -24,12 +27,11 @@ from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
-from pgrssnn_jax.discovery.unknown import Formula, flexible_problem, formula
+from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
 from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention
 from pgrssnn_jax.records.record import Record
 
-_FINALISTS = 2  # corrections without a name that are fitted to the end
 _LOCATED = 24  # sequences or segments whose correction is estimated
 
 
@@ -67,9 +69,9 @@ def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
 
 
 def discover_in(
-    problem: Problem, setup: Setup, notify: Callable[[str], None], flexible: Problem | None = None
+    problem: Problem, setup: Setup, notify: Callable[[str], None], corrected: Corrected | None = None
 ) -> Discovery:
-    """flexible: that of `flexible_problem(problem)` where many records are examined with one physics."""
+    """corrected: kept where many records are examined with one physics and catalogue."""
     chosen, seconds = setup.settings, dict[str, float]()
     with jax.enable_x64(True):
         how = scoring(problem, setup.estimation, chosen, setup.start, np.random.default_rng(chosen.seed))
@@ -85,13 +87,15 @@ def discover_in(
         with _timed(seconds, "locate"):
             location = _located(problem, how, selection)
         with _timed(seconds, "judge"):
-            flexible = known(flexible or flexible_problem(problem))
-            nameless = _nameless(problem, flexible, how, selection, chosen)
+            effects = len(selection.final.estimate.active)
+            signals = partial(how.signals, effects=effects)
+            corrections = Corrections(problem, corrected or Corrected(), known, signals, how.settings)
+            nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
             before = evaluate(problem, how.signals(problem, 0), nominal)
             rms = (before.cost / selection.first.size) ** 0.5
             convention = reading_convention(problem, selection.final)
             judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
-            told = _told(flexible, how, selection, judgement)
+            told = _told(corrections, how, selection, judgement)
         with _timed(seconds, "prove"):
             guesses = (nominal, selection.recalibrated.estimate.guess, selection.final.estimate.guess)
             whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
@@ -104,28 +108,12 @@ def discover_in(
     )
 
 
-def _nameless(
-    problem: Problem, flexible: Problem, how: Scoring, selection: Selection, chosen: DiscoverySettings
-) -> Nameless:
-    effects, few = len(selection.final.estimate.active), chosen.criteria._replace(finalists=_FINALISTS)
-    return look_beyond(
-        problem,
-        flexible,
-        how.uncut,
-        how.signals(flexible, effects),
-        selection,
-        chosen.criteria,
-        np.random.default_rng(chosen.seed),
-        how.screen(flexible, [effect.name for effect in problem.effects], few),
-        segments=how.segmented,
-    )
-
-
-def _told(flexible: Problem, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:
+def _told(corrections: Corrections, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:
     """The formula of a correction without a name."""
     if judgement.unnamed is None:
         return None
     screening, best = judgement.unnamed
+    flexible = corrections.by_all() if how.segmented else corrections.by(best.name)
     signals = how.signals(flexible, len(selection.final.estimate.active))
     guess = best.model.estimate if best.model else best.guess
     _, x = simulate(flexible, signals.u, guess.theta[None], guess.x0[None])

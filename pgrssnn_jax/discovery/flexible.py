@@ -5,7 +5,7 @@
     y   ← y + Σ c_j φ_j(y)                                             measurement
 
 φ_j: hat functions on equal knots over the reach of s, constant beyond. Each family is an `Effect` whose neutral
-coefficients are zero, so that the same search that fits named effects fits these.
+coefficients are zero, so that the same fits serve named effects and these.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input, 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 KNOTS = 8
-_HISTORY = 6  # samples
+HISTORY = 6  # samples of the past
 _WIDE = 4  # more states than this: rates are corrected by themselves and by what they are the rate of
 
 
@@ -115,11 +115,11 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
 
 def _history(physics: Physics, name: str, channel: int) -> Effect:
     signal = physics.inputs[channel]
-    memory = [Signal(f"{signal.name}_{k + 1}_ago", signal.unit, memory_of=signal.name) for k in range(_HISTORY)]
+    memory = [Signal(f"{signal.name}_{k + 1}_ago", signal.unit, memory_of=signal.name) for k in range(HISTORY)]
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         own = u[channel]
-        kept = jnp.concatenate([own[None], past])[:_HISTORY]
+        kept = jnp.concatenate([own[None], past])[:HISTORY]
         return u.at[channel].add((p["c"] * (past - own)).sum()), kept
 
     return Effect(
@@ -129,7 +129,7 @@ def _history(physics: Physics, name: str, channel: int) -> Effect:
         cause="",
         acts_on="input",
         parameters={"c": Parameter("c", neutral=0.0)},
-        initial_guesses=lambda span: [{"c": np.zeros(_HISTORY)}],
+        initial_guesses=lambda span: [{"c": np.zeros(HISTORY)}],
         wrap=lambda inner: with_memory(inner, name, memory, advance),
-        shapes={"c": (_HISTORY,)},
+        shapes={"c": (HISTORY,)},
     )

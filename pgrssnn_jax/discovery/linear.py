@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from pgrssnn_jax.discovery.bounded import scaled_step, step_within
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, size_and_noise
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
@@ -27,7 +28,6 @@ _CHUNK = 24  # numbers in one linearisation
 DRAWS = 200  # of the null, at most: every draw is a fit
 _FINALISTS = 4  # candidates that are fitted properly
 _BEYOND_REACH = 1.5  # times the best cost that was reached: candidates whose promise is above it are not fitted
-_HOPELESS = 0.2  # p-value of what its linear step promises, above which a candidate is not fitted
 _LOST = 10.0  # standard deviations: an error that a free run which has left the range counts
 _RIDGE = 1e-9
 
@@ -77,7 +77,7 @@ def score_linearised(
     cost, promises, falls = _promised(problem, signals, guess, own, without, noise)
     null = null_of({name: nats(fall, size) for name, fall in falls.items()})
     promises = [c._replace(gain=float(nats(c.gain, size))) for c in promises]
-    hopeful = [c for c in promises[:_FINALISTS] if null.p_value(c.name, c.gain) <= _HOPELESS]
+    hopeful = [c for c in promises[:_FINALISTS] if null.p_value(c.name, c.gain) <= criteria.hopeless]
     found = [c for c in promises if c.name not in {h.name for h in hopeful}]
     best = np.inf
     for i in range(0, len(hopeful), settings.lanes):
@@ -233,7 +233,7 @@ def _solve(reduced: Reduced, fold: np.ndarray) -> tuple[float, np.ndarray, np.nd
         return np.maximum(reduced.energy[at] - 2.0 * reduced.pull[at] @ step + curved, 0.0)
 
     def fitted(at: np.ndarray) -> np.ndarray:
-        return _within(reduced.normal[at].sum(0), reduced.pull[at].sum(0), reduced.low, reduced.high)
+        return step_within(reduced.normal[at].sum(0), reduced.pull[at].sum(0), reduced.low, reduced.high)
 
     everything = np.ones(len(fold), bool)
     held_out, folds = np.zeros(len(fold)), []
@@ -243,32 +243,11 @@ def _solve(reduced: Reduced, fold: np.ndarray) -> tuple[float, np.ndarray, np.nd
     return float(costs(fitted(everything), everything).sum()), held_out, np.stack(folds)
 
 
-def _within(normal: np.ndarray, pull: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """The step of least cost within bounds; numbers that would leave theirs are held there, one after another."""
-    fixed = np.zeros(len(pull), bool)
-    step = np.zeros(len(pull))
-    while not fixed.all():
-        free = ~fixed
-        step[free] = _step(normal[np.ix_(free, free)], (pull - normal @ np.where(fixed, step, 0.0))[free])
-        beyond = np.maximum(low - step, step - high) * np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        worst = int(np.argmax(np.where(free, beyond, -np.inf)))
-        if beyond[worst] <= 0.0:
-            break
-        step[worst], fixed[worst] = np.clip(step[worst], low[worst], high[worst]), True
-    return step
-
-
-def _step(normal: np.ndarray, pull: np.ndarray) -> np.ndarray:
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / size / size[:, None] + _RIDGE * np.eye(len(pull))
-    return np.linalg.solve(scaled, pull / size) / size
-
-
 def _fall(reduced: Reduced, noise: np.ndarray, own: int) -> np.ndarray:
     """By how much the energy of noise falls with the candidate's numbers beyond what the model's own take `[draw]`."""
     k = len(reduced.places)
     flat = reduced.columns.reshape(-1, k).astype(np.float32)
     pull = (noise.reshape(len(noise), -1) @ flat).astype(np.float64)
     normal = reduced.normal.sum(0)
-    whole = np.array([p @ _step(normal, p) for p in pull])
-    return whole - np.array([p @ _step(normal[:own, :own], p) for p in pull[:, :own]])
+    whole = np.array([p @ scaled_step(normal, p) for p in pull])
+    return whole - np.array([p @ scaled_step(normal[:own, :own], p) for p in pull[:, :own]])

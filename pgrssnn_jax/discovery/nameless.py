@@ -5,16 +5,17 @@ Whole records: corrections beside what was found and in its place. Segments: bes
 does not take the place of an effect on all of them.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from pgrssnn_jax.discovery.candidates import Model, Screening
+from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.follows import Follows, follows
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.problem import Problem, Signals, carried
+from pgrssnn_jax.discovery.nonparametric import FINALISTS, Corrections, score_corrections
+from pgrssnn_jax.discovery.problem import carried
+from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.unknown import Line, spectral_line
@@ -31,30 +32,28 @@ class Nameless(NamedTuple):
 
 
 def look_beyond(
-    problem: Problem,
-    flexible: Problem,
-    signals: Signals,
-    wide: Signals,
-    selection: Selection,
-    criteria: Criteria,
-    rng: np.random.Generator,
-    screen: Callable[[Guess], Screening],
-    *,
-    segments: bool,
+    corrections: Corrections, how: Scoring, selection: Selection, criteria: Criteria, rng: np.random.Generator
 ) -> Nameless:
-    """flexible: the problem with the corrections; signals, wide: the record of both; screen: of the corrections."""
-
-    def guess(model: Model) -> Guess:
-        theta, x0 = carried(problem, flexible, model.estimate.theta, model.estimate.x0, wide.start)
-        return Guess(model.estimate.active, theta, x0)
-
-    final = selection.final
-    beside = screen(guess(final))
-    if segments:
-        return Nameless(beside, None, None, None)
-    alone = screen(guess(selection.recalibrated)) if final.estimate.active else None
+    if how.segmented:
+        return Nameless(_on_segments(corrections, how, selection, criteria), None, None, None)
+    final, gap = selection.final, max(selection.first.rms() - selection.floor, 0.0)
+    share = criteria.nameless if final.estimate.active else criteria.share
+    beside = score_corrections(corrections, final, criteria, share * gap, rng)
+    alone = None
+    if final.estimate.active:  # in the place of the named effects it must do better than they
+        least = selection.first.rms() - selection.last.rms() + criteria.share * gap
+        alone = score_corrections(corrections, selection.recalibrated, criteria, least, rng)
     if selection.last.rms() <= criteria.clear * selection.floor:
         return Nameless(beside, alone, None, None)
+    problem, signals = corrections.problem, how.uncut
     _, x = simulate(problem, signals.u, final.estimate.theta[None], final.estimate.x0[None])
     driven = follows(signals, x[0][..., : len(problem.physics.states)], final.estimate.error, rng)
     return Nameless(beside, alone, spectral_line(signals, final.estimate.error, problem.physics.dt), driven)
+
+
+def _on_segments(corrections: Corrections, how: Scoring, selection: Selection, criteria: Criteria) -> Screening:
+    problem, wide = corrections.problem, corrections.by_all()
+    signals, final = corrections.signals(wide), selection.final
+    theta, x0 = carried(problem, wide, final.estimate.theta, final.estimate.x0, signals.start)
+    screen = how.screen(wide, [effect.name for effect in problem.effects], criteria._replace(finalists=FINALISTS))
+    return screen(Guess(final.estimate.active, theta, x0))

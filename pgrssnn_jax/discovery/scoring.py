@@ -27,12 +27,12 @@ Screen = Callable[[Guess | Model], Screening]
 
 
 class Scoring(NamedTuple):
-    """segmented: on segments; signals: of a problem, as fits with so many effects see them; uncut: sequences in which
+    """segmented: on segments; signals: of a problem, as fits with so many `effects` see them; uncut: sequences in which
     effects are looked for, in one piece; screen: of a problem, without the effects named; finish: the final numbers."""
 
     segmented: bool
     settings: Settings
-    signals: Callable[[Problem, int], Signals]
+    signals: Callable[..., Signals]
     uncut: Signals
     screen: Callable[[Problem, Sequence[str], Criteria], Screen]
     finish: Callable[[Problem, Selection], Selection]

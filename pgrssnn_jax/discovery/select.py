@@ -46,14 +46,15 @@ class Judge(NamedTuple):
         share of the gap."""
         if candidate.model is None or screening.redundant(candidate.name):
             return False
-        alone = not screening.base.estimate.active
-        if screening.p_value(candidate) > (self.criteria.p_value if alone else self.criteria.further):
-            return False
         better, error = candidate.model.better_than(screening.base)
         if better <= self.criteria.standard_errors * error:
             return False
         closed, left = screening.rms() - screening.rms(candidate.model), screening.rms() - self.noise
-        return closed >= self.criteria.share * self.gap or closed >= self.criteria.rest * left > 0.0
+        share = closed >= self.criteria.share * self.gap
+        if not share and not closed >= self.criteria.rest * left > 0.0:
+            return False
+        beside = bool(screening.base.estimate.active) and share
+        return screening.p_value(candidate) <= (self.criteria.further if beside else self.criteria.p_value)
 
     def best(self, screening: Screening) -> Candidate | None:
         """Of the candidates that count the one with the best score, or a simpler one within a standard error of it.

@@ -27,15 +27,16 @@ class Criteria(NamedTuple):
     recalibrated physics above that of white noise; standard errors are those of predictive log-likelihoods."""
 
     p_value: float = 0.01  # of the gain of log-likelihood under the null, over the whole catalogue
-    further: float = 0.05  # the same for an effect beside others, one of which reaches p_value
+    further: float = 0.05  # the same for an effect that closes `share` beside others, one of which reaches p_value
     share: float = 0.02  # least part of the gap that an effect closes: below, it is not worth a name
-    rest: float = 0.5  # or of what others leave of it
+    rest: float = 0.5  # or of what others leave of it, with p_value
     standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
     certain: float = 3.0  # the same for a correction without a name: some twenty are tried
     nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed
     tied: float = 1.28  # standard errors by which a tenth of equals predict worse: within them effects are ambiguous
     most: int = 4  # effects
-    finalists: int = 6  # effects of a screening that are fitted
+    finalists: int = 12  # effects of a screening that are fitted to the end
+    hopeless: float = 0.2  # p-value after a few steps of a fit: if all are above, none is
     draws: int = 1000  # of the null
     block: int = 32  # samples that count as one in standard errors
     beam: int = 2  # other first effects that are tried where errors stay above the noise by the factor `above`

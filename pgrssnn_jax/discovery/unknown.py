@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.candidates import Candidate, Screening
 from pgrssnn_jax.discovery.estimate import evaluate
-from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, flexible_effects, nearness
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
+from pgrssnn_jax.discovery.flexible import KNOTS, Where, families, nearness
+from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.physics.base import Physics
 
 _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
@@ -43,20 +43,15 @@ class Line(NamedTuple):
     output: int
 
 
-def flexible_problem(problem: Problem) -> Problem:
-    """The same problem with every flexible correction beside the catalogue."""
-    fixed = {slot.path[0] for slot in problem.slots if slot.effect is None and not slot.meaning.trainable}
-    effects = (*problem.effects, *flexible_effects(problem.physics))
-    return build_problem(problem.physics, effects, fixed=sorted(fixed), accelerate=problem.code.accelerate)
-
-
 def formula(
     flexible: Problem, signals: Signals, screening: Screening, best: Candidate, x: Float[np.ndarray, "seq time x"]
 ) -> Formula:
-    """The curve of a flexible correction in words. x: states of the free run with it."""
+    """The curve of a flexible correction in words. flexible: the problem that it was fitted in; x: states of the free
+    run with it."""
     physics, guess = flexible.physics, best.model.estimate.guess if best.model else best.guess
     where = families(physics)[best.name]
-    numbers = flexible.params(guess.theta).effects[best.name]
+    effect = guess.active[-1]
+    numbers = flexible.params(guess.theta).effects[effect]
     target = _target(physics, where)
     if where.kind == "history":
         lags = ", ".join(f"{c:+.3g} at {k + 1}" for k, c in enumerate(numbers["c"]))
@@ -70,7 +65,7 @@ def formula(
     simulated = evaluate(
         flexible,
         signals,
-        guess._replace(theta=flexible.put(guess.theta, best.name, {**numbers, "c": values})),
+        guess._replace(theta=flexible.put(guess.theta, effect, {**numbers, "c": values})),
     )
     base, fitted = screening.base.estimate.cost**0.5, (best.model or screening.base).estimate.cost ** 0.5
     closed = (base - simulated.cost**0.5) / (base - fitted) if base > fitted else 0.0

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery, discover_in
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -99,6 +100,6 @@ def discovered(
     test: Record,
     settings: DiscoverySettings,
     start: Start = Start.SHARED,
-    flexible: Problem | None = None,
+    corrected: Corrected | None = None,
 ) -> Discovery:
-    return discover_in(problem, setup_of(problem, train, test, settings, start), lambda line: None, flexible)
+    return discover_in(problem, setup_of(problem, train, test, settings, start), lambda line: None, corrected)

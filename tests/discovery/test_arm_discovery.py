@@ -6,10 +6,10 @@ from discovery.small_cases import choices, discovered
 
 from benchmarks.hidden.arm_plant import Effects, controlled
 from pgrssnn_jax.data.arm_simulator import planned
+from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Start, _stretches
-from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.arms.build import arm
@@ -39,7 +39,7 @@ def crane(tmp_path_factory) -> tuple[ArmTables, Problem, Problem]:
     file.write_text(f"<robot name='crane'><link name='base'/>{''.join(parts)}</robot>")
     physics = arm(urdf=file, sub_steps=5, derivatives="forward")
     problem = build_problem(physics, catalogue(physics), fixed=["B", "Tc"])
-    return read_urdf(file, ()), problem, flexible_problem(problem)
+    return read_urdf(file, ()), problem, Corrected()
 
 
 def motions(known: ArmTables, effects: Effects, tables: ArmTables | None = None) -> tuple[Record, Record]:
@@ -56,9 +56,9 @@ _SIGNALS = (("torque", "Nm"), ("position", "rad"))
 
 
 def found_in(crane, *data, **changes) -> Discovery:
-    _, problem, flexible = crane
+    _, problem, corrected = crane
     chosen = choices(stretches=[60, 60], fixed=["B", "Tc"], steps=12, **changes)
-    return discovered(problem, *data, chosen, Start.AT_REST, flexible)
+    return discovered(problem, *data, chosen, Start.AT_REST, corrected)
 
 
 def test_stretches_are_no_longer_than_the_record(crane):

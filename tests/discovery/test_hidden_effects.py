@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from discovery.small_cases import choices, discovered, fine_tanks, pump, tank_record
 
+from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Start
-from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.effects.systems import catalogue
@@ -27,7 +27,7 @@ def tanks() -> tuple[Problem, Problem]:
     physics = cascaded_tanks(integrator="rk4")
     names = ("overflow_1to2", "overflow_lost", "pump_saturation")
     problem = build_problem(physics, [e for e in catalogue(physics) if e.name in names])
-    return problem, flexible_problem(problem)
+    return problem, Corrected()
 
 
 @pytest.mark.parametrize(
@@ -39,9 +39,9 @@ def tanks() -> tuple[Problem, Problem]:
     ],
 )
 def test_hidden_effects_of_tanks_are_named_and_nothing_else(tanks, hidden, name, number):
-    problem, flexible = tanks
+    problem, corrected = tanks
     train, test = (tank_record(w, k=TRUE, seed=i, **hidden) for i, w in enumerate((U, pump(160, 8, high=5.0))))
-    found = discovered(problem, train, test, choices(), flexible=flexible)
+    found = discovered(problem, train, test, choices(), corrected=corrected)
     selection = found.selection
     if name is None:
         assert found.judgement.verdict is Verdict.MISCALIBRATED

@@ -7,9 +7,9 @@ import pytest
 from discovery.small_cases import pump, tank_record
 from scipy.optimize import least_squares
 
+from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
-from pgrssnn_jax.discovery.unknown import flexible_problem
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -96,6 +96,6 @@ def test_effects_and_zeros_are_not_held_and_a_matrix_is_by_its_largest_entry():
 
 def test_what_is_fixed_stays_fixed_beside_corrections_without_a_name():
     physics = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
-    held, free = (flexible_problem(build_problem(physics, (), fixed=f, accelerate=False)) for f in (["B"], []))
+    held, free = (Corrected().by_all(build_problem(physics, (), fixed=f, accelerate=False)) for f in (["B"], []))
     assert {held.slots[i].path[0] for i in held.of(None)} == {"A", "C"}
     assert {free.slots[i].path[0] for i in free.of(None)} == {"A", "B", "C"}

@@ -1,0 +1,118 @@
+"""Free runs with their derivatives, and what follows from them without another simulation.
+
+    e(θ + δ) ≈ e - J δ        J: sensitivities of the free run by the free numbers and the initial states
+
+How far one step would bring a fit, what an effect adds to what is free anyway, and whether it does anything at all.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pgrssnn_jax.discovery.bounded import step_within
+from pgrssnn_jax.discovery.estimate import Guess, Settings, free_places
+from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
+from pgrssnn_jax.discovery.likelihood import Linearisation
+from pgrssnn_jax.discovery.null import beside, orthonormal
+from pgrssnn_jax.discovery.problem import Problem, Signals
+
+_RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
+
+
+class Run(NamedTuple):
+    """places `[k]`: free positions of θ; error `[seq, time, y]`: weighted; columns `[seq, time, y, k + s]`:
+    weighted sensitivities of the free run."""
+
+    places: Int[np.ndarray, " k"]
+    error: Float[np.ndarray, "seq time y"]
+    columns: Float[np.ndarray, "seq time y d"]
+
+
+def runs(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings) -> list[Run]:
+    """Of guesses at their present numbers."""
+    if not guesses:
+        return []
+    found = []
+    at_once = settings.at_once(signals, len(guesses))
+    for i in range(0, len(guesses), at_once):
+        part = list(guesses[i : i + at_once])
+        padded = part + [part[-1]] * (at_once - len(part))
+        places = free_places(problem, padded, settings)
+        lanes = Lanes(np.stack([g.theta for g in padded]), np.stack([g.x0 for g in padded]), places)
+        y, dy = sensitivity(problem, signals, lanes)
+        error = np.where(signals.weight > 0, signals.weight * (signals.y - y), 0.0)
+        error, dy = (np.where(np.abs(a) < _RUN_AWAY, a, 0.0) for a in (error, signals.weight[..., None] * dy))
+        for k in range(len(part)):
+            used = np.flatnonzero(places[k] >= 0)
+            columns = dy[k][..., np.concatenate([used, np.arange(places.shape[1], dy.shape[-1])])]
+            found.append(Run(places[k][used], error[k], columns))
+    return found
+
+
+def linearisation(
+    problem: Problem, signals: Signals, guess: Guess, run: Run
+) -> tuple[Linearisation, Int[np.ndarray, " k"]]:
+    """Of a model at its present numbers, without those that stand at a bound; with the positions that are left."""
+    theta = guess.theta[run.places]
+    inside = (theta > problem.low[run.places]) & (theta < problem.high[run.places])
+    free = run.places[inside]
+    starts = np.arange(len(run.places), run.columns.shape[-1])
+    columns = _starts_apart(run.columns[..., np.concatenate([np.flatnonzero(inside), starts])], len(free))
+    precision, pull = np.zeros((2, columns.shape[-1]))
+    precision[: len(free)], pull[: len(free)] = _prior(problem, guess, free)
+    return Linearisation(run.error, columns, signals.weight > 0, precision, pull), free
+
+
+def promised_cost(problem: Problem, guess: Guess, run: Run) -> float:
+    """Least cost that one linear step within the bounds promises."""
+    k = len(run.places)
+    columns = _starts_apart(run.columns, k)
+    columns = columns.reshape(-1, columns.shape[-1])
+    error, theta = run.error.ravel(), guess.theta[run.places]
+    precision, pull = np.zeros((2, columns.shape[1]))
+    precision[:k], pull[:k] = _prior(problem, guess, run.places)
+    low, high = (np.full(columns.shape[1], end) for end in (-np.inf, np.inf))
+    low[:k], high[:k] = problem.low[run.places] - theta, problem.high[run.places] - theta
+    normal, pull = columns.T @ columns + np.diag(precision), columns.T @ error + pull
+    step = step_within(normal, pull, low, high)
+    now = float((error**2).sum()) + problem.penalty(guess.theta)
+    return max(now - 2.0 * float(pull @ step) + float(step @ normal @ step), 0.0)
+
+
+def _prior(problem: Problem, guess: Guess, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Precision of some numbers, and its product with how far they lie below what was given."""
+    precision = problem.precision[places]
+    given = np.where(precision > 0, problem.theta[places], guess.theta[places])  # may be infinite without
+    return precision, precision * (given - guess.theta[places])
+
+
+def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "seq time y m"]:
+    """Derivatives by θ as they are, and columns of their own for the initial state of every sequence."""
+    n_seq, time, n_y, width = dy.shape
+    local = np.zeros((n_seq, time, n_y, n_seq, width - k))
+    for i in range(n_seq):
+        local[i, :, :, i] = dy[i, ..., k:]
+    return np.concatenate([dy[..., :k], local.reshape(n_seq, time, n_y, -1)], -1)
+
+
+def added(here: Run, run: Run) -> Float[np.ndarray, "n m"]:
+    """What an effect adds at its start: displacement of the free run, and derivatives by its own numbers."""
+    own = np.flatnonzero(~np.isin(run.places, here.places))
+    moved = (here.error - run.error)[..., None]
+    columns = np.concatenate([moved, run.columns[..., own]], -1)
+    return columns.reshape(here.error.size, -1)
+
+
+def visible(at: Linearisation, added: Sequence[tuple[str, Float[np.ndarray, "n _"]]]) -> dict[str, tuple[float, float]]:
+    """Per effect the energy of its displacement, and what of it the model's free numbers cannot take up."""
+    measured = at.measured.ravel()
+    nuisance = orthonormal(at.columns.reshape(at.error.size, -1) * measured[:, None])
+    found: dict[str, tuple[float, float]] = {}
+    for name, columns in added:
+        displacement = columns[:, :1] * measured[:, None]
+        left = beside(displacement, nuisance)
+        seen = found.get(name, (0.0, 0.0))
+        found[name] = (max(seen[0], float((displacement**2).sum())), max(seen[1], float((left**2).sum())))
+    return found
