@@ -21,6 +21,7 @@ from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.nonparametric import Corrections
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
+from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring, scoring
 from pgrssnn_jax.discovery.select import Selection, select
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -127,13 +128,12 @@ def _located(problem: Problem, how: Scoring, selection: Selection) -> Location:
     count = pieces * max(1, _LOCATED // pieces)
     few = Signals(*(a[:count] for a in record))
     base = selection.recalibrated.estimate
-    x0, error = base.x0[:count], base.error[:count]
-    _, x = simulate(problem, few.u, base.theta[None], x0[None])
-    correction = smoothed_correction(problem, few, base.theta, x[0], x0, error, selection.noise**0.5)
+    path = path_of(problem, few, Guess((), base.theta, base.x0[:count]))
+    correction = smoothed_correction(problem, few, path, base.error[:count], selection.noise**0.5)
     correction = correction._replace(mean=end_to_end(correction.mean, pieces), std=end_to_end(correction.std, pieces))
     u, y, weight, block = (end_to_end(a, pieces, axis=0) for a in few[:4])
     whole = Signals(u, y, weight, block, few.start[::pieces], few.precision[::pieces])
-    return Location(whole, correction, end_to_end(x[0], pieces, axis=0))
+    return Location(whole, correction, end_to_end(path.x, pieces, axis=0))
 
 
 def _as_known(problem: Problem, how: Scoring, begun: Guess, chosen: DiscoverySettings) -> Callable[[Problem], Problem]:

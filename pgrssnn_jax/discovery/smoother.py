@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.responses import Path
 
 _RATES = 10.0 ** np.arange(-6.0, 0.1, 1.0)  # of w: in state scales per sample, as a part of the error's size
 _WIDE = 1e3  # prior deviation of δx_0 and d_0, in the same units
@@ -33,25 +34,15 @@ class Correction(NamedTuple):
 
 
 def smoothed_correction(
-    problem: Problem,
-    signals: Signals,
-    theta: Float[np.ndarray, " p"],
-    x: Float[np.ndarray, "seq time x"],
-    x0: Float[np.ndarray, "seq x"],
-    error: Float[np.ndarray, "seq time y"],
-    noise: float,
+    problem: Problem, signals: Signals, path: Path, error: Float[np.ndarray, "seq time y"], noise: float
 ) -> Correction:
-    """x: states of the free run (after each input); error: weighted errors; noise: their standard deviation."""
-    n = len(problem.physics.states)
-    before = np.concatenate([x0[:, None], x[:, :-1]], 1)[..., :n]
-    physics, params = problem.physics, problem.known(theta)
-    a, c = _derivatives(physics.step, physics.measure, physics.output_timing, params, before, x[..., :n], signals.u)
-    c = np.asarray(c) * signals.weight[..., None]
-    size = np.maximum(x[..., :n].std((0, 1)), 1e-12)  # states in units of their spread
-    a, c = np.asarray(a) * size / size[:, None], c * size
+    """error: weighted errors of the free run `path`; noise: their standard deviation."""
+    physics, n = problem.physics, len(problem.physics.states)
+    a, c = path.a[..., :n, :n], path.c[..., :n] * signals.weight[..., None]
+    size = np.maximum(path.x[..., :n].std((0, 1)), 1e-12)  # states in units of their spread
     mean, std, likelihood = _smooth(
-        jnp.asarray(a),
-        jnp.asarray(c),
+        jnp.asarray(a * size / size[:, None]),
+        jnp.asarray(c * size),
         jnp.asarray(error),
         jnp.asarray(signals.weight > 0),
         noise,
@@ -59,18 +50,6 @@ def smoothed_correction(
     )
     scale = (size / physics.dt)[:, None, None]
     return Correction(np.asarray(mean) * scale, np.asarray(std) * scale, np.asarray(likelihood))
-
-
-@quick_jit(static_argnums=(0, 1, 2))
-def _derivatives(
-    step: Any, measure: Any, output_timing: str, params: Any, before: jax.Array, after: jax.Array, u: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """A `[seq, time, x, x]` and C `[seq, time, y, x]`."""
-
-    def each(function: Any) -> Any:
-        return jax.vmap(jax.vmap(jax.jacfwd(function, 1), (None, 0, 0)), (None, 0, 0))
-
-    return each(step)(params, before, u), each(measure)(params, after if output_timing == "after_step" else before, u)
 
 
 @quick_jit(static_argnums=5)

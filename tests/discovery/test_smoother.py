@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from discovery.small_cases import pump, tank_record
 
-from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.locate import clear, intervals
 from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
+from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.smoother import smoothed_correction
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -27,10 +28,10 @@ def pulsed(size: float):
     problem = build_problem(cascaded_tanks(integrator="rk4"), [])
     record = weighted_signals(problem, tank_record(u, NOISE, push=push), folds=3, block=20)
     start = np.array([[4.0, 4.0]])
-    y, x = simulate(problem, record.u, problem.theta[None], start[None])
-    error = record.weight * (record.y - y[0])
+    path = path_of(problem, record, Guess((), problem.theta, start))
+    error = record.weight * (record.y - path.y)
     noise = NOISE * float(record.weight.max())
-    return smoothed_correction(problem, record, problem.theta, x[0], start, error, noise)
+    return smoothed_correction(problem, record, path, error, noise)
 
 
 @pytest.mark.parametrize("size", [0.02, -0.02])
@@ -53,10 +54,10 @@ def test_noise_alone_needs_no_correction():
     problem = build_problem(cascaded_tanks(integrator="rk4"), [])
     record = weighted_signals(problem, tank_record(pump(SAMPLES, 4), NOISE), folds=3, block=20)
     start = np.array([[4.0, 4.0]])
-    y, x = simulate(problem, record.u, problem.theta[None], start[None])
+    path = path_of(problem, record, Guess((), problem.theta, start))
     noise = NOISE * float(record.weight.max())
-    error = record.weight * (record.y - y[0])
-    found = smoothed_correction(problem, record, problem.theta, x[0], start, error, noise)
+    error = record.weight * (record.y - path.y)
+    found = smoothed_correction(problem, record, path, error, noise)
     assert np.all(found.likelihood < 5.0)
     assert np.abs(found.mean[1]).max() < 1e-3
     assert clear(found.mean[1, 0], found.std[1, 0]).mean() < 0.1
