@@ -18,6 +18,7 @@ from pgrssnn_jax.discovery.settings import Criteria
 
 _ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
 _AT_EACH = 2  # starting values of an effect from which it is fitted
+_TO_THE_END = 3  # effects with the best scores that are fitted until nothing changes
 
 
 class Model(NamedTuple):
@@ -107,24 +108,32 @@ def score_candidates(
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
     cost = base.estimate.cost + problem.penalty(here.theta)
     size = max(1, int((signals.weight > 0).sum()))
-    rough = fit_all(
-        problem, signals, _promising(problem, guesses, begun, settings), settings._replace(steps=settings.rough)
-    )
+    rough = fit_all(problem, signals, _promising(problem, guesses, begun, settings), settings.roughly)
     rough = sorted(((g, low) for g, low in rough if np.isfinite(low)), key=lambda found: found[1])
     gains = {guess.active[-1]: float(nats(1.0 - low / cost, size)) for guess, low in reversed(rough)}
     null = _null(problem, signals, (at, named), rough[0][0] if rough else None, gains, settings, criteria, rng)
     hopeful = any(null.p_value(name, gain) <= criteria.hopeless for name, gain in gains.items())
     finalists = _finalists(rough, criteria.finalists) if hopeful else []
-    best = _best_of_each(fit_all(problem, signals, finalists, settings))
-    models = fitted_models(problem, signals, [guess for guess, _ in best], settings, criteria.block)
+    best = _best_of_each(fit_all(problem, signals, finalists, settings.roughly))
+    models = _models(problem, signals, best, settings, criteria)
     fitted = {model.estimate.active[-1]: model for model in models}
     reached = {guess.active[-1]: (guess, low) for guess, low in (*_best_of_each(rough), *best)}
+    leading = sorted(models, key=lambda model: -model.score)[:_TO_THE_END]
+    ends = fit_all(problem, signals, [model.estimate.guess for model in leading], settings)
+    for (guess, low), model in zip(ends, _models(problem, signals, ends, settings, criteria), strict=True):
+        fitted[guess.active[-1]], reached[guess.active[-1]] = model, (guess, low)
     found = [
         Candidate(name, float(nats(1.0 - low / cost, size)), guess, fitted.get(name))
         for name, (guess, low) in reached.items()
     ]
     found.sort(key=lambda c: (-c.score, -c.gain))
-    return Screening(base, tuple(found), null, visible(at, named), *size_and_noise(signals, [base, *models]))
+    return Screening(base, tuple(found), null, visible(at, named), *size_and_noise(signals, [base, *fitted.values()]))
+
+
+def _models(
+    problem: Problem, signals: Signals, fitted: Sequence[tuple[Guess, float]], settings: Settings, criteria: Criteria
+) -> list[Model]:
+    return fitted_models(problem, signals, [guess for guess, _ in fitted], settings, criteria.block)
 
 
 def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Settings, criteria: Criteria) -> Model:

@@ -15,15 +15,21 @@ _FEW = 2  # guesses per device, up to which a program of few lanes is the faster
 
 class Settings(NamedTuple):
     """spare: free numbers that a program has places for beside those of the physics; lanes: fits in one program; steps:
-    of Levenberg-Marquardt, and rough: of those that choose which fits go on; tolerance: relative fall of the cost at
-    which fits end; devices: JAX devices that share the lanes."""
+    of Levenberg-Marquardt, at most; tolerance: relative fall of the cost at which fits end; rough, rough_tolerance:
+    the same of fits that are only compared (of 1000 samples, 0.005 of log-likelihood a step); devices: JAX devices that
+    share the lanes."""
 
     spare: int = 6
     lanes: int = 24
     steps: int = 30
-    rough: int = 12
     tolerance: float = 1e-6
+    rough: int = 12
+    rough_tolerance: float = 1e-5
     devices: int = 1
+
+    @property
+    def roughly(self) -> "Settings":
+        return self._replace(steps=self.rough, tolerance=self.rough_tolerance)
 
     def at_once(self, signals: Signals, count: int) -> int:
         """Lanes of the program for so many fits. One sequence is so little work that empty lanes cost less than a

@@ -160,7 +160,8 @@ def _pruned(judge: Judge, screened: Callable[[Guess | Model], Screening], model:
 def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Sequence[Model]:
     """The effect that does best alone may be none of two that only do well together."""
     left = first.rms(model) > criteria.above * first.noise**0.5
-    others = [c.model for c in first.candidates if c.model and c.name not in model.estimate.active]
+    possible = [c for c in first.candidates if c.model and first.p_value(c) <= criteria.further]
+    others = [c.model for c in possible if c.model and c.name not in model.estimate.active]
     return others[: criteria.beam] if left else []
 
 
