@@ -34,12 +34,14 @@ class Selection(NamedTuple):
 
 
 class Judge(NamedTuple):
-    """When a candidate counts. gap: RMS error of the recalibrated physics above that of the white noise."""
+    """When a candidate counts. gap: RMS error of the recalibrated physics above that of the white noise; spent: p-value
+    with which each effect came in last; their sum bounds the probability that any of them is luck."""
 
     problem: Problem
     criteria: Criteria
     gap: float
     noise: float
+    spent: dict[str, float]
 
     def counts(self, screening: Screening, candidate: Candidate) -> bool:
         """Its gain is not luck, it predicts left-out blocks better by more than a standard error, and it closes its
@@ -53,8 +55,10 @@ class Judge(NamedTuple):
         share = closed >= self.criteria.share * self.gap
         if not share and not closed >= self.criteria.rest * left > 0.0:
             return False
-        beside = bool(screening.base.estimate.active) and share
-        return screening.p_value(candidate) <= (self.criteria.further if beside else self.criteria.p_value)
+        p_value, others = screening.p_value(candidate), screening.base.estimate.active
+        if not others or not share:
+            return p_value <= self.criteria.p_value
+        return p_value + sum(self.spent.get(name, 0.0) for name in others) <= self.criteria.further
 
     def best(self, screening: Screening) -> Candidate | None:
         """Of the candidates that count the one with the best score, or a simpler one within a standard error of it.
@@ -103,9 +107,9 @@ def select(
     first = screened(start)
     noise = first.noise**0.5
     if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
-        judge = Judge(problem, criteria, first.rms(), float("inf"))
+        judge = Judge(problem, criteria, first.rms(), float("inf"), {})
     else:
-        judge = Judge(problem, criteria, max(first.rms() - noise, 0.0), noise)
+        judge = Judge(problem, criteria, max(first.rms() - noise, 0.0), noise, {})
     model = _settled(judge, screened, first.base)
     for other in _other_beginnings(criteria, first, model):
         found = _settled(judge, screened, other)
@@ -136,9 +140,11 @@ def _settled(judge: Judge, screened: Callable[[Guess | Model], Screening], model
     for _ in range(_ROUNDS):
         before = set(model.estimate.active)
         while len(model.estimate.active) < judge.criteria.most:
-            best = judge.best(screened(model))
+            screening = screened(model)
+            best = judge.best(screening)
             if best is None or best.model is None:
                 break
+            judge.spent[best.name] = screening.p_value(best)
             model = best.model
         model = _pruned(judge, screened, model)
         if set(model.estimate.active) == before or not model.estimate.active:
@@ -153,6 +159,8 @@ def _pruned(judge: Judge, screened: Callable[[Guess | Model], Screening], model:
             continue  # it left with another one
         smaller = _with_known(screened(without(judge.problem, model, name)), screened(model))
         best = judge.best(smaller)
+        if best is not None:
+            judge.spent[best.name] = smaller.p_value(best)
         model = smaller.base if best is None or best.model is None else best.model
     return model
 

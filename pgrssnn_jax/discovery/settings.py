@@ -27,7 +27,7 @@ class Criteria(NamedTuple):
     recalibrated physics above that of white noise; standard errors are those of predictive log-likelihoods."""
 
     p_value: float = 0.01  # of the gain of log-likelihood under the null, over the whole catalogue
-    further: float = 0.05  # the same for an effect that closes `share` beside others, one of which reaches p_value
+    further: float = 0.05  # sum of the p-values of all effects that are named beside one that reaches it
     share: float = 0.02  # least part of the gap that an effect closes: below, it is not worth a name
     rest: float = 0.5  # or of what others leave of it, with p_value
     standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
