@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, signal_range_of
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
-from pgrssnn_jax.discovery.linearise import Run, added, linearisation, promised_cost, runs, visible
+from pgrssnn_jax.discovery.linearise import added, linearisation, runs, visible
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
@@ -108,7 +108,7 @@ def score_candidates(
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
     cost = base.estimate.cost + problem.penalty(here.theta)
     size = max(1, int((signals.weight > 0).sum()))
-    rough = fit_all(problem, signals, _promising(problem, guesses, begun, settings), settings.roughly)
+    rough = fit_all(problem, signals, guesses, settings.roughly)
     rough = sorted(((g, low) for g, low in rough if np.isfinite(low)), key=lambda found: found[1])
     gains = {guess.active[-1]: float(nats(1.0 - low / cost, size)) for guess, low in reversed(rough)}
     null = _null(problem, signals, (at, named), rough[0][0] if rough else None, gains, settings, criteria, rng)
@@ -143,17 +143,6 @@ def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Sett
     best = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])[0]
     (model,) = fitted_models(problem, signals, [best], settings, criteria.block)
     return model
-
-
-def _promising(problem: Problem, guesses: Sequence[Guess], begun: Sequence[Run], settings: Settings) -> list[Guess]:
-    """Every effect from the start of which one linear step promises most, and as many other starts as there is room
-    for in whole programs."""
-    costs = [promised_cost(problem, guess, run) for guess, run in zip(guesses, begun, strict=True)]
-    ordered = [guesses[i] for i in np.argsort(costs, kind="stable")]
-    first = {guess.active[-1]: guess for guess in reversed(ordered)}
-    others = [guess for guess in ordered if guess is not first[guess.active[-1]]]
-    room = -(-len(first) // settings.lanes) * settings.lanes - len(first)
-    return [*first.values(), *others[:room]]
 
 
 def _null(

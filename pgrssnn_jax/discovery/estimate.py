@@ -23,7 +23,7 @@ class Settings(NamedTuple):
     lanes: int = 24
     steps: int = 30
     tolerance: float = 1e-6
-    rough: int = 12
+    rough: int = 10
     rough_tolerance: float = 1e-5
     devices: int = 1
 

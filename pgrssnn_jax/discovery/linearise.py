@@ -2,7 +2,7 @@
 
     e(θ + δ) ≈ e - J δ        J: sensitivities of the free run by the free numbers and the initial states
 
-How far one step would bring a fit, what an effect adds to what is free anyway, and whether it does anything at all.
+What an effect adds to what is free anyway, and whether it does anything at all.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pgrssnn_jax.discovery.bounded import step_within
 from pgrssnn_jax.discovery.estimate import Guess, Settings, free_places
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity
 from pgrssnn_jax.discovery.likelihood import Linearisation
@@ -61,31 +60,10 @@ def linearisation(
     starts = np.arange(len(run.places), run.columns.shape[-1])
     columns = _starts_apart(run.columns[..., np.concatenate([np.flatnonzero(inside), starts])], len(free))
     precision, pull = np.zeros((2, columns.shape[-1]))
-    precision[: len(free)], pull[: len(free)] = _prior(problem, guess, free)
+    precision[: len(free)] = problem.precision[free]
+    given = np.where(problem.precision[free] > 0, problem.theta[free], guess.theta[free])  # may be infinite without
+    pull[: len(free)] = precision[: len(free)] * (given - guess.theta[free])
     return Linearisation(run.error, columns, signals.weight > 0, precision, pull), free
-
-
-def promised_cost(problem: Problem, guess: Guess, run: Run) -> float:
-    """Least cost that one linear step within the bounds promises."""
-    k = len(run.places)
-    columns = _starts_apart(run.columns, k)
-    columns = columns.reshape(-1, columns.shape[-1])
-    error, theta = run.error.ravel(), guess.theta[run.places]
-    precision, pull = np.zeros((2, columns.shape[1]))
-    precision[:k], pull[:k] = _prior(problem, guess, run.places)
-    low, high = (np.full(columns.shape[1], end) for end in (-np.inf, np.inf))
-    low[:k], high[:k] = problem.low[run.places] - theta, problem.high[run.places] - theta
-    normal, pull = columns.T @ columns + np.diag(precision), columns.T @ error + pull
-    step = step_within(normal, pull, low, high)
-    now = float((error**2).sum()) + problem.penalty(guess.theta)
-    return max(now - 2.0 * float(pull @ step) + float(step @ normal @ step), 0.0)
-
-
-def _prior(problem: Problem, guess: Guess, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Precision of some numbers, and its product with how far they lie below what was given."""
-    precision = problem.precision[places]
-    given = np.where(precision > 0, problem.theta[places], guess.theta[places])  # may be infinite without
-    return precision, precision * (given - guess.theta[places])
 
 
 def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "seq time y m"]:
