@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
+from pgrssnn_jax.physics.integrate import DerivativePoints, Integrator, derivative_points, held
 
 Params = Any
 OutputTiming = Literal["after_step", "before_step"]
@@ -277,13 +277,17 @@ def continuous(
     """A `Physics` from dx/dt = derivative(params, x, u), u held over the sample.
 
     integrator: `euler` or `rk4`; sub_steps: integration steps of dt / sub_steps seconds per sample. The other
-    arguments are those of `discrete`.
+    arguments are those of `discrete`. Its extension points are `DerivativePoints`.
     """
 
     def build(integrator: Integrator | str, sub_steps: int) -> Physics:
-        step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
-        return discrete(name, step, measure, params, dt=dt, **signals)._replace(
+        points = derivative_points(derivative, measure, dt=dt, integrator=integrator, sub_steps=sub_steps)
+        physics = discrete(name, *assemble(points), params, dt=dt, **signals)._replace(
             origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps}, source=derivative)
         )
+        return extended(physics, points, assemble)
+
+    def assemble(points: DerivativePoints) -> tuple[Step, Measure]:
+        return held(points), points.measure
 
     return build(integrator, sub_steps)
