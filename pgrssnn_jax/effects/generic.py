@@ -24,6 +24,8 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point
 from pgrssnn_jax.effects.generic_friction import friction_effects
+from pgrssnn_jax.effects.generic_limits import ceiling, floor, hard_stop
+from pgrssnn_jax.effects.generic_memory import backlash, hysteresis
 from pgrssnn_jax.effects.places import (
     LEVEL,
     VELOCITY,
@@ -182,14 +184,19 @@ _AS_AN_OFFSET = ("constant_force", "inflow")  # where an input acts on this stat
 
 
 def generic_effects(physics: Physics) -> tuple[Effect, ...]:
-    """Forces where the physics has velocities, flows where it has states without a rate."""
+    """Forces where the physics has velocities, flows where it has states without a rate; what limits them comes after
+    them, what bends the input last."""
     moving, still = velocities(physics), levels(physics)
     springs = [place for place in moving if place.way is not None]
     laws = [(law, springs if law.name.endswith("spring") else moving) for law in _FORCES]
     forces = [_effect(physics, law, places, VELOCITY) for law, places in laws if places]
     forces[1:1] = friction_effects(physics, moving) if moving else ()  # beside the viscous one
+    if springs:
+        forces += [hysteresis(physics, springs), hard_stop(physics, springs)]
     flows = [_effect(physics, law, still, LEVEL) for law in _FLOWS] if still else []
-    return (*forces, *flows, *([_power_law(physics, still)] if still else []))
+    if still:
+        flows += [_power_law(physics, still), ceiling(physics, still), floor(physics, still)]
+    return (*forces, *flows, *([backlash(physics)] if physics.inputs and (forces or flows) else []))
 
 
 def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> Effect:

@@ -57,8 +57,8 @@ _COULOMB = Dry(
 
 def _bump(n: Any) -> Brake:
     some = n["v_s"] > 0.0
-    slow, d = 1.0 / jnp.where(some, n["v_s"], 1.0), jnp.where(some, n["d"], 0.0)
-    return lambda v: n["a"] + d * jnp.exp(-((v * slow) ** 2))
+    slow, d = -1.0 / jnp.where(some, n["v_s"], 1.0) ** 2, jnp.where(some, n["d"], 0.0)
+    return lambda v: n["a"] + d * jnp.exp(slow * v**2)
 
 
 _STRIBECK = Dry(
@@ -127,17 +127,18 @@ def _inside(brakes: Callable[[Any], list[tuple[Place, Brake]]], h: float) -> Cal
         for place, brake in brakes(n):
             v, force = x[place.state], slope[place.state]
             rests = (v == 0.0) & (jnp.abs(force) < brake(jnp.zeros_like(v)))
-            begun.append((place.state, brake, rests, jnp.sign(jnp.where(v == 0.0, force, v))))
+            s = jnp.where(rests, 0.0, jnp.sign(jnp.where(v == 0.0, force, v)))
+            begun.append((place.state, brake, rests, s, jnp.where(rests, 0.0, 1.0)))
 
         def braked(state: jax.Array) -> jax.Array:
             found = slope if state is x else field(state)
-            for i, brake, rests, s in begun:
-                found = found.at[i].set(jnp.where(rests, 0.0, found[i] - s * brake(state[i])))
+            for i, brake, _, s, moves in begun:
+                found = found.at[i].set(moves * found[i] - s * brake(state[i]))
             return found
 
         first = braked(x)  # not once more inside the integrator
         new, late, ends = inner(lambda state: first if state is x else braked(state), x, u), x, []
-        for i, brake, rests, s in begun:
+        for i, brake, rests, s, _ in begun:
             left, more = _turned(x[i], new[i], s, brake, h)
             new, late = new.at[i].add(more), late.at[i].add(0.5 * left * more)
             ends.append((i, rests | ((more != 0.0) & (new[i] == 0.0))))

@@ -47,9 +47,10 @@ class Signal(NamedTuple):
     A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
     output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
     by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
-    first value at the start. range: beyond it a value must be in another unit (degrees for rad); data are checked
-    against it. start: its value at the start of a record, where it is known. fit_initial: a memory that lasts, whose
-    start a fit must find like that of a state of the physics.
+    first value at the start; of a state, what that has done: zero at the start, scaled by a simulation. range: beyond
+    it a value must be in another unit (degrees for rad); data are checked against it. start: its value at the start of
+    a record, where it is known. fit_initial: a memory that lasts, whose start a fit must find like that of a state of
+    the physics.
     """
 
     name: str

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oscillators import oscillator
 from scipy.integrate import solve_ivp
 from toys import quick_jit
 
-from pgrssnn_jax.acceleration.scalars import written_out
+from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.effects import add_effect, catalogue
-from pgrssnn_jax.effects.base import Effect, SignalRange, add
+from pgrssnn_jax.effects.base import Effect, SignalRange
 from pgrssnn_jax.effects.generic import generic_effects
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics, Signal, continuous
@@ -24,9 +25,9 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 pytestmark = pytest.mark.usefixtures("x64")
 FORCES = [
     "viscous_friction", "coulomb_friction", "stribeck_friction", "quadratic_drag", "linear_spring", "cubic_spring",
-    "constant_force",
+    "constant_force", "hysteresis", "hard_stop",
 ]  # fmt: skip
-FLOWS = ["leak", "inflow", "power_law"]
+FLOWS = ["leak", "inflow", "power_law", "ceiling", "floor"]
 
 
 def carts(unit: float = 1.0, dt: float = 0.05) -> Physics:
@@ -182,16 +183,18 @@ def test_numbers_have_the_units_of_the_states():
     assert units == {
         "viscous_friction": "1/s", "coulomb_friction": "m/s^2", "stribeck_friction": "m/s^2", "quadratic_drag": "1/m",
         "linear_spring": "1/s^2", "cubic_spring": "1/(s^2 m^2)", "constant_force": "m/s^2", "leak": "1/s",
-        "inflow": "V/s", "power_law": "",
+        "inflow": "V/s", "power_law": "", "hysteresis": "1/s^2", "hard_stop": "m", "ceiling": "V", "floor": "V",
+        "backlash": "",
     }  # fmt: skip
     assert effect("coulomb_friction", carts()).parameters["a"].unit == ""  # the other cart's is not known
     assert "speed, rate" in effect("coulomb_friction", carts()).equation
 
 
 def test_steps_with_every_effect_are_written_out_in_numbers():
-    physics = carts()
-    whole = add(physics, *generic_effects(physics))
-    assert written_out(lambda x, u: whole.step(whole.params, x, u), (5, 1), 1) is not None
+    """All at once for one velocity, for two of them one by one."""
+    groups = [(oscillator(), catalogue(oscillator())), *((carts(), [one]) for one in generic_effects(carts()))]
+    for physics, effects in groups:
+        assert build_problem(physics, effects).code.written_out is not None
 
 
 @pytest.mark.parametrize("only_steps", [False, True])
@@ -245,7 +248,7 @@ def test_the_catalogue_of_a_users_physics_has_what_its_states_allow():
     def names(physics: Physics) -> list[str]:
         return [one.name for one in catalogue(physics)]
 
-    assert names(carts())[: len(CASES)] == FORCES + FLOWS
+    assert names(carts())[: len(FORCES + FLOWS) + 1] == [*FORCES, *FLOWS, "backlash"]
     states = carts().states
     assert not set(FLOWS) & set(names(carts()._replace(states=(states[0], *states[2:]))))
     assert not set(FORCES) & set(names(carts()._replace(states=tuple(Signal(s.name) for s in states))))

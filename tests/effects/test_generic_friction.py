@@ -8,43 +8,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from oscillators import DT, START, forces, freely, oscillator, simulated, solved
 from toys import quick_jit
 
 from pgrssnn_jax.effects import add_effect
 from pgrssnn_jax.effects.stored import physics_to_json, stored_physics
-from pgrssnn_jax.physics.base import Physics, Signal, continuous
+from pgrssnn_jax.physics.base import Physics
 
 pytestmark = pytest.mark.usefixtures("x64")
-SAMPLES, DT = 200, 0.05
-START = (0.3, -0.5)
 NUMBERS: dict[str, dict[str, float]] = {
     "coulomb_friction": {"a": 0.6},
     "stribeck_friction": {"a": 0.4, "d": 0.3, "v_s": 0.2},
 }
-
-
-def slope(q: Any, v: Any, u: Any) -> Any:
-    return u - 0.4 * v - 4.0 * q - 2.0 * q**3
-
-
-def oscillator(dt: float = DT, **settings: Any) -> Physics:
-    return continuous(
-        "oscillator",
-        lambda p, x, u: jnp.stack([x[1], slope(x[0], x[1], u[0])]),
-        lambda p, x, u: x[:1],
-        {"one": 1.0},
-        states=(Signal("q", "m", like="q"), Signal("v", "m/s", rate_of="q")),
-        inputs=(Signal("u"),),
-        outputs=(Signal("q", "m"),),
-        dt=dt,
-        **settings,
-    )
-
-
-def forces() -> np.ndarray:
-    """Held for 2.5 s, in which the oscillator comes to rest."""
-    draw = np.random.default_rng(3)
-    return np.repeat(draw.normal(0.0, 1.5, SAMPLES // 50), 50)
 
 
 def brake(name: str, v: Any) -> Any:
@@ -53,38 +28,21 @@ def brake(name: str, v: Any) -> Any:
 
 
 @cache
-def solved(name: str) -> np.ndarray:
-    """Position and speed after each sample, 4000 steps per sample in which friction cuts the speed."""
-    h = DT / 4000
+def expected_of(name: str) -> np.ndarray:
+    """In every tiny step friction cuts the speed."""
 
-    def tiny(_: Any, x: Any, u: Any) -> Any:
+    def tiny(x: Any, u: Any, h: float) -> Any:
         q, v = x
-        free = v + h * slope(q + 0.5 * h * v, v + 0.5 * h * slope(q, v, u), u)
+        _, free = freely(q, v, u, h)
         after = jnp.sign(free) * jnp.maximum(jnp.abs(free) - h * brake(name, v), 0.0)
         return q + 0.5 * h * (v + after), after
 
-    def sample(x: Any, u: Any) -> Any:
-        x = jax.lax.fori_loop(0, 4000, lambda k, x: tiny(k, x, u), x)
-        return x, jnp.stack(x)
-
-    start = tuple(jnp.asarray(one) for one in START)
-    return np.asarray(quick_jit(lambda u: jax.lax.scan(sample, start, u)[1])(jnp.asarray(forces())))
-
-
-def simulated(physics: Physics) -> np.ndarray:
-    def run(params: Any, u: Any) -> Any:
-        def sample(x: Any, u: Any) -> Any:
-            x = physics.step(params, x, u[None])
-            return x, x
-
-        return jax.lax.scan(sample, jnp.asarray(START), u)[1]
-
-    return np.asarray(quick_jit(run)(jax.tree.map(jnp.asarray, physics.params), jnp.asarray(forces())))
+    return solved(tiny)
 
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_an_oscillator_slides_turns_and_sticks(name):
-    expected = solved(name)
+    expected = expected_of(name)
     rests = np.abs(expected[:, 1]) < 1e-9
     assert 0.1 < rests.mean() < 0.9
     coarse, fine = (
@@ -100,7 +58,7 @@ def test_an_oscillator_slides_turns_and_sticks(name):
 @pytest.mark.parametrize("name", NUMBERS)
 def test_of_a_physics_that_has_only_steps_it_is_nearly_as_good(name):
     physics = add_effect(oscillator()._replace(extension=None), name, **NUMBERS[name])
-    assert np.abs(simulated(physics) - solved(name))[:, 0].max() < 6e-3
+    assert np.abs(simulated(physics) - expected_of(name))[:, 0].max() < 6e-3
 
 
 def test_friction_at_its_limit_holds_and_beyond_it_lets_go():
