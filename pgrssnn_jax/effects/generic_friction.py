@@ -57,7 +57,8 @@ _COULOMB = Dry(
 
 def _bump(n: Any) -> Brake:
     some = n["v_s"] > 0.0
-    slow, d = -1.0 / jnp.where(some, n["v_s"], 1.0) ** 2, jnp.where(some, n["d"], 0.0)
+    slow, d = 1.0 / jnp.where(some, n["v_s"], 1.0), jnp.where(some, n["d"], 0.0)
+    slow = -(slow**2)  # v_s² would be infinite times a derivative of zero where v_s is infinite
     return lambda v: n["a"] + d * jnp.exp(slow * v**2)
 
 
