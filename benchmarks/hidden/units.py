@@ -13,7 +13,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, is_parameter, measured_rate
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, extended, extension_of, is_parameter, measured_rate
+from pgrssnn_jax.physics.integrate import DerivativePoints
 from pgrssnn_jax.records.record import Channel, Record
 
 from .case import SYSTEMS, Case
@@ -65,8 +66,8 @@ def physics_in(physics: Physics, system: str, units: Units) -> Physics:
     def back(p: Any) -> dict[str, Any]:
         return {name: p[name] / factor for name, factor in own.items()}
 
-    def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        return physics.step(back(p), x / of_x, u / units[0]) * of_x
+    def dynamics(function: Any) -> Any:
+        return lambda p, x, u: function(back(p), x / of_x, u / units[0]) * of_x
 
     def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         return physics.measure(back(p), x / of_x, u / units[0]) * units[1]
@@ -79,8 +80,8 @@ def physics_in(physics: Physics, system: str, units: Units) -> Physics:
         name: jax.tree.map(lambda one, f=factor: meaning(one, f), physics.parameters[name], is_leaf=is_parameter)
         for name, factor in own.items()
     }
-    return physics._replace(
-        step=step,
+    found = physics._replace(
+        step=dynamics(physics.step),
         measure=measure,
         params={name: np.asarray(physics.params[name], float) * factor for name, factor in own.items()},
         parameters=meanings,
@@ -90,6 +91,16 @@ def physics_in(physics: Physics, system: str, units: Units) -> Physics:
         origin=None,
         extension=None,
     )
+    known = extension_of(physics)
+    if known is None or not isinstance(known.points, DerivativePoints):
+        return found
+    points = known.points
+
+    def advance(p: Any, field: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+        return points.advance(back(p), lambda state: field(state * of_x) / of_x, x / of_x, u / units[0]) * of_x
+
+    inside = points._replace(derivative=dynamics(points.derivative), advance=advance, measure=measure)
+    return extended(found, inside, known.assemble)
 
 
 def _like_output(physics: Physics, state: Signal) -> bool:

@@ -211,13 +211,25 @@ def at_point(physics: Physics, point: str, name: str, change: Callable[..., Any]
     arguments; n: numbers of the effect, own: those of the physics.
 
     Raises `ValueError` for a physics without this point."""
+
+    def around(n: Any, own: Any, inner: Callable[..., Any], *arguments: Any) -> Any:
+        return change(n, own, inner(*arguments), *arguments)
+
+    return around_point(physics, point, name, around)
+
+
+def around_point(physics: Physics, point: str, name: str, around: Callable[..., Any]) -> Physics:
+    """v ← around(n, own, inner, *arguments) inside the step, inner(*arguments): what an extension point gives for any
+    arguments. `at_point` for an effect that changes the arguments too.
+
+    Raises `ValueError` for a physics without this point."""
     known = extension_of(physics)
-    inner = getattr(known.points, point, None) if known else None
-    if known is None or inner is None:
+    found = getattr(known.points, point, None) if known else None
+    if known is None or found is None:
         raise ValueError(f"effects: {name}: expected an extension point {point!r}, found physics {physics.name!r}")
 
     def changed(p: Any, *arguments: Any) -> Any:
-        return change(p.effects[name], p.own, inner(p, *arguments), *arguments)
+        return around(p.effects[name], p.own, lambda *others: found(p, *others), *arguments)
 
     return extended(physics, known.points._replace(**{point: changed}), known.assemble)
 

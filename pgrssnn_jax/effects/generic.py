@@ -2,16 +2,16 @@
 
     velocity v, the rate of a position q                   first-order state x
     viscous_friction   dv/dt = ... - c v                   leak        dx/dt = ... - r x
-    coulomb_friction   dv/dt = ... - a sign(v)             inflow      dx/dt = ... + f
-    quadratic_drag     dv/dt = ... - c |v| v               power_law   dx/dt = ... - c |x|^n sign(x)
-    linear_spring      dv/dt = ... - k q
+    quadratic_drag     dv/dt = ... - c |v| v               inflow      dx/dt = ... + f
+    linear_spring      dv/dt = ... - k q                   power_law   dx/dt = ... - c |x|^n sign(x)
     cubic_spring       dv/dt = ... - k q³
     constant_force     dv/dt = ... + a
 
-One number per velocity or first-order state, in the units of the states and s. Half of an effect acts before the step
-of the physics and half after it (errors of second order in dt), each as the exact solution of its own equation over
-dt / 2: friction stops a motion and never turns it around, whatever the sample time and without a smoothed sign. Fits
-begin at shares of what the ranges of the signals make of each unit, so that no unit changes an answer.
+One number per velocity or first-order state, in the units of the states and s. Where the physics has a derivative, an
+effect is a term of it, and the physics' own integrator integrates both. Where it has only steps, half of an effect acts
+before the step and half after it (errors of second order in dt), each as the exact solution of its own equation over
+dt / 2. Fits begin at shares of what the ranges of the signals make of each unit, so that no unit changes an answer.
+Dry friction, limits and memories stand in files of their own.
 Source: Strang, On the construction and comparison of difference schemes, SIAM J. Numer. Anal. 5 (1968).
 """
 
@@ -22,17 +22,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange
-from pgrssnn_jax.physics.base import Parameter, Physics, measured_rate
+from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point
+from pgrssnn_jax.effects.generic_friction import friction_effects
+from pgrssnn_jax.effects.generic_limits import ceiling, floor, hard_stop
+from pgrssnn_jax.effects.generic_memory import backlash, hysteresis
+from pgrssnn_jax.effects.places import (
+    LEVEL,
+    VELOCITY,
+    Place,
+    acted_on,
+    largest,
+    levels,
+    points_of,
+    states_of,
+    unit_of,
+    velocities,
+    with_each,
+)
+from pgrssnn_jax.physics.base import Parameter, Physics
 
 _POSITIVE = (0.0, float("inf"))
 Flow = Callable[[Any, float, jax.Array, jax.Array], jax.Array]
 
 
 class Law(NamedTuple):
-    """flow(n, h, v, q): v after h seconds of this effect alone, from its numbers. meaning: of its number, whose name
-    is the symbol; {v} and {q} in the unit are those of velocity and position. scale: powers of the largest |v| and |q|
-    in the data that make this unit; shares: of that scale, where fits begin."""
+    """From the numbers n, rate(n, h, v, q): what it adds to dv/dt in steps of h seconds; flow(n, h, v, q): v
+    after h seconds of it alone. meaning: of its number, whose name is the symbol; {v} and {q} in the unit are those of
+    velocity and position. scale: powers of the largest |v| and |q| in the data that make this unit; shares: of that
+    scale, where fits begin."""
 
     name: str
     title: str
@@ -41,6 +58,7 @@ class Law(NamedTuple):
     meaning: Parameter
     scale: tuple[int, int]
     shares: tuple[float, ...]
+    rate: Flow
     flow: Flow
 
 
@@ -54,17 +72,8 @@ _FORCES = (
         Parameter("c", "1/s", bounds=_POSITIVE, neutral=0.0),
         (1, -1),
         _LOSS,
+        lambda n, h, v, q: -n["c"] * v,
         lambda n, h, v, q: v * jnp.exp(-h * n["c"]),
-    ),
-    Law(
-        "coulomb_friction",
-        "Coulomb friction",
-        "dv/dt = ... - a sign(v)",
-        "dry friction brakes the motion at any speed",
-        Parameter("a", "{v}/s", bounds=_POSITIVE, neutral=0.0),
-        (2, -1),
-        _LOSS,
-        lambda n, h, v, q: v - jnp.clip(v, -h * n["a"], h * n["a"]),
     ),
     Law(
         "quadratic_drag",
@@ -74,6 +83,7 @@ _FORCES = (
         Parameter("c", "1/{q}", bounds=_POSITIVE, neutral=0.0),
         (0, -1),
         _LOSS,
+        lambda n, h, v, q: -n["c"] * jnp.abs(v) * v,
         lambda n, h, v, q: v / (1.0 + h * n["c"] * jnp.abs(v)),
     ),
     Law(
@@ -84,6 +94,7 @@ _FORCES = (
         Parameter("k", "1/s^2", bounds=_POSITIVE, neutral=0.0),
         (2, -2),
         _LOSS,
+        lambda n, h, v, q: -n["k"] * q,
         lambda n, h, v, q: v - h * n["k"] * q,
     ),
     Law(
@@ -94,6 +105,7 @@ _FORCES = (
         Parameter("k", "1/(s^2 {q}^2)", neutral=0.0),
         (2, -4),
         _EITHER_SIGN,
+        lambda n, h, v, q: -n["k"] * q**3,
         lambda n, h, v, q: v - h * n["k"] * q**3,
     ),
     Law(
@@ -104,6 +116,7 @@ _FORCES = (
         Parameter("a", "{v}/s", neutral=0.0),
         (2, -1),
         _EITHER_SIGN,
+        lambda n, h, v, q: n["a"],
         lambda n, h, v, q: v + h * n["a"],
     ),
 )
@@ -111,14 +124,23 @@ _FORCES = (
 
 def _powers(n: Any, h: float, x: jax.Array, _: jax.Array) -> jax.Array:
     """|x| (1 + m z)^(-1/m) with m = n - 1 and z = h c |x|^m; empty once the bracket is 0; exp(-z) at m = 0."""
-    some = x != 0.0
-    m, size = n["n"] - 1.0, jnp.where(some, jnp.abs(x), 1.0)  # no power of zero in the gradient
-    z = h * n["c"] * size**m
+    m = n["n"] - 1.0
+    z = h * n["c"] * _size(x) ** m
     bracket = jnp.maximum(m * z, 1e-6 - 1.0)
     small = jnp.abs(bracket) < 1e-3
     ratio = jnp.log1p(jnp.where(small, 1.0, bracket)) / jnp.where(small, 1.0, bracket)
     ratio = jnp.where(small, 1.0 - bracket / 2.0 + bracket**2 / 3.0, ratio)  # log(1 + b) / b
-    return jnp.where(some, x * jnp.exp(-z * ratio), x)
+    return x * jnp.exp(-z * ratio)
+
+
+def _lost(n: Any, h: float, x: jax.Array, _: jax.Array) -> jax.Array:
+    """-c |x|^n sign(x), in one step at most what there is: with n < 1 the slope at zero would be infinite."""
+    return -jnp.minimum(n["c"] * _size(x) ** (n["n"] - 1.0), 1.0 / h) * x
+
+
+def _size(x: jax.Array) -> jax.Array:
+    """|x|, but no power of zero in the gradient."""
+    return jnp.maximum(jnp.abs(x), float(jnp.finfo(x.dtype).tiny) ** 0.25)
 
 
 _FLOWS = (
@@ -130,6 +152,7 @@ _FLOWS = (
         Parameter("r", "1/s", bounds=_POSITIVE, neutral=0.0),
         (0, 0),
         (0.003, 0.03),
+        lambda n, h, x, _: -n["r"] * x,
         lambda n, h, x, _: x * jnp.exp(-h * n["r"]),
     ),
     Law(
@@ -140,6 +163,7 @@ _FLOWS = (
         Parameter("f", "{v}/s", neutral=0.0),
         (1, 0),
         (0.01, -0.01),
+        lambda n, h, x, _: n["f"],
         lambda n, h, x, _: x + h * n["f"],
     ),
 )
@@ -151,6 +175,7 @@ _POWER_LAW = Law(
     Parameter("c", "", bounds=_POSITIVE, neutral=0.0),
     (1, 0),
     (0.01,),
+    _lost,
     _powers,
 )
 
@@ -158,57 +183,44 @@ _POWER_LAW = Law(
 _AS_AN_OFFSET = ("constant_force", "inflow")  # where an input acts on this state alone, they are one
 
 
-class Place(NamedTuple):
-    """state: index of the one that an effect acts on; position: kind (`x`, `y`) and index of what it is the rate of."""
-
-    state: int
-    position: tuple[str, int]
-
-
 def generic_effects(physics: Physics) -> tuple[Effect, ...]:
-    """The effects of this file for the states of a physics: forces where it has velocities, flows where it has states
-    without a rate. A velocity is the rate of something that is no rate itself."""
-    velocities = [place for i in range(len(physics.states)) if (place := _velocity(physics, i))]
-    springs = [place for place in velocities if place.position[0] == "x"]
-    moving = {place.position[1] for place in springs}
-    levels = [
-        Place(i, ("x", i))
-        for i, state in enumerate(physics.states)
-        if state.rate_of is None and state.memory_of is None and i not in moving
-    ]
-    forces = [(law, springs if law.name.endswith("spring") else velocities) for law in _FORCES]
-    found = [_effect(physics, law, places, "velocity") for law, places in forces if places]
-    if levels:
-        found += [_effect(physics, law, levels, "first-order state") for law in _FLOWS]
-        found.append(_power_law(physics, levels))
-    return tuple(found)
-
-
-def _velocity(physics: Physics, i: int) -> Place | None:
-    """The place of state i where it is a velocity: its position is the state of that name, or like that output."""
-    state = physics.states[i]
-    if state.rate_of is None:
-        return None
-    measured = measured_rate(physics, state)
-    for j, other in enumerate(physics.states):
-        if other.name == state.rate_of or (measured is not None and other.like == measured):
-            return None if other.rate_of else Place(i, ("x", j))
-    return Place(i, ("y", next(j for j, output in enumerate(physics.outputs) if output.name == measured)))
+    """Forces where the physics has velocities, flows where it has states without a rate; what limits them comes after
+    them, what bends the input last."""
+    moving, still = velocities(physics), levels(physics)
+    springs = [place for place in moving if place.way is not None]
+    laws = [(law, springs if law.name.endswith("spring") else moving) for law in _FORCES]
+    forces = [_effect(physics, law, places, VELOCITY) for law, places in laws if places]
+    forces[1:1] = friction_effects(physics, moving) if moving else ()  # beside the viscous one
+    if springs:
+        forces += [hysteresis(physics, springs), hard_stop(physics, springs)]
+    flows = [_effect(physics, law, still, LEVEL) for law in _FLOWS] if still else []
+    if still:
+        flows += [_power_law(physics, still), ceiling(physics, still), floor(physics, still)]
+    return (*forces, *flows, *([backlash(physics)] if physics.inputs and (forces or flows) else []))
 
 
 def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> Effect:
-    at = [place.state for place in places]
-    positions = [j if kind == "x" else i for i, (kind, j) in places]  # no state: a law that needs none
-    names, dt = [state.name for state in physics.states if state.memory_of is None], physics.dt
-    acted = ", ".join(names[i] for i in at)
+    at, dt = [place.state for place in places], physics.dt
+    positions = [place.state if place.way is None else place.way for place in places]  # a law that needs none
+
+    def signals(x: jax.Array) -> list[jax.Array]:
+        return [jnp.stack([x[i] for i in indices]) for indices in (at, positions)]
 
     def half(n: Any, x: jax.Array) -> jax.Array:
-        v, q = (jnp.stack([x[i] for i in indices]) for indices in (at, positions))
-        for i, one in zip(at, law.flow(n, 0.5 * dt, v, q), strict=True):  # `scalars.py` knows no arrays of indices
-            x = x.at[i].set(one)
-        return x
+        return with_each(x, at, law.flow(n, 0.5 * dt, *signals(x)))
 
     def wrap(inner: Physics) -> Physics:
+        points = points_of(inner)
+        if points is not None:
+            h = points.h
+
+            def sloped(n: Any, own: Any, slope: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
+                for i, rate in zip(at, law.rate(n, h, *signals(x)), strict=True):
+                    slope = slope.at[i].add(rate)
+                return slope
+
+            return at_point(inner, "derivative", law.name, sloped)
+
         def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
             n = p.effects[law.name]
             return half(n, inner.step(p, half(n, x), u))
@@ -216,23 +228,20 @@ def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> E
         return inner._replace(step=step)
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
-        v, q = _largest(span, [("x", place.state) for place in places]), _largest(span, [p.position for p in places])
-        scale = v ** law.scale[0] * q ** law.scale[1] / (1.0 if channels == "velocity" else dt)
+        v, q = largest(span, [("x", place.state) for place in places]), largest(span, [p.position for p in places])
+        scale = v ** law.scale[0] * q ** law.scale[1] / (1.0 if channels == VELOCITY else dt)
         return [{law.meaning.symbol: share * scale} for share in law.shares]
 
     return Effect(
         law.name,
-        {law.meaning.symbol: law.meaning._replace(unit=_unit(law.meaning.unit, physics, places))},
+        {law.meaning.symbol: law.meaning._replace(unit=unit_of(law.meaning.unit, physics, places))},
         wrap,
         title=law.title,
-        equation=f"{law.equation}   ({'v' if channels == 'velocity' else 'x'}: {acted})",
+        equation=law.equation + acted_on(physics, places, channels),
         cause=law.cause,
         shapes={law.meaning.symbol: (len(at),)},
         initial_guesses=initial_guesses,
-        needs=Needs(
-            f"the states {', '.join(names)} and dt={dt:g} s",
-            lambda other: [state.name for state in other.states[: len(names)]] == names and other.dt == dt,
-        ),
+        needs=states_of(physics),
         simpler=("input_offset",) if law.name in _AS_AN_OFFSET else (),
         channels=channels,
     )
@@ -240,10 +249,10 @@ def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> E
 
 def _power_law(physics: Physics, places: list[Place]) -> Effect:
     """Its coefficient has the unit of x to the power 1 - n, per second."""
-    effect = _effect(physics, _POWER_LAW, places, "first-order state")
+    effect = _effect(physics, _POWER_LAW, places, LEVEL)
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
-        x, share = _largest(span, [place.position for place in places]), _POWER_LAW.shares[0] / physics.dt
+        x, share = largest(span, [place.position for place in places]), _POWER_LAW.shares[0] / physics.dt
         return [{"c": share * x ** (1.0 - n), "n": np.full(len(places), n)} for n in (0.5, 2.0)]
 
     return effect._replace(
@@ -252,19 +261,3 @@ def _power_law(physics: Physics, places: list[Place]) -> Effect:
         initial_guesses=initial_guesses,
         simpler=("leak",),
     )
-
-
-def _largest(span: SignalRange, signals: list[tuple[str, int]]) -> np.ndarray:
-    """Largest absolute values in the data; 1 for a signal that is zero all the time."""
-    found = np.array([np.abs(getattr(span, kind)[:, i]).max() for kind, i in signals])
-    return np.where(found > 0.0, found, 1.0)
-
-
-def _unit(unit: str, physics: Physics, places: list[Place]) -> str:
-    """Empty where it depends on units that nobody said or that differ."""
-    signals = {"x": physics.states, "y": physics.outputs}
-    units = {(physics.states[i].unit, signals[kind][j].unit) for i, (kind, j) in places}
-    v, q = units.pop() if len(units) == 1 else ("", "")
-    if ("{v}" in unit and not v) or ("{q}" in unit and not q):
-        return ""
-    return unit.format(v=v, q=q).replace("/s/s", "/s^2")

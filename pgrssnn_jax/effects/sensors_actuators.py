@@ -63,14 +63,15 @@ def _per_channel(
     )
 
 
-def _remembered(physics: Physics) -> Needs:
+def remembered_inputs(physics: Physics) -> Needs:
     """The inputs that memory states are named after, in samples of the same length."""
     names, dt = [signal.name for signal in physics.inputs], physics.dt
     words = f"the input{'s' if len(names) > 1 else ''} {', '.join(names)} with dt={dt:g} s"
     return Needs(words, lambda other: [s.name for s in other.inputs] == names and other.dt == dt)
 
 
-def _unit(signals: Sequence[Signal]) -> str:
+def unit_of_all(signals: Sequence[Signal]) -> str:
+    """Empty where they differ."""
     units = {signal.unit for signal in signals}
     return units.pop() if len(units) == 1 else ""
 
@@ -97,7 +98,7 @@ def offset(physics: Physics, side: Side, cause: str) -> Effect:
         lambda n, value: value + n["offset"],
         title=f"{'Input' if side == 'input' else 'Sensor'} offset",
         cause=cause,
-        parameters={"offset": Parameter("b", _unit(_signals(physics, side)), neutral=0.0)},
+        parameters={"offset": Parameter("b", unit_of_all(_signals(physics, side)), neutral=0.0)},
         initial_guesses=initial_guesses,
     )
 
@@ -142,8 +143,8 @@ def saturation(physics: Physics, side: Side, title: str, cause: str) -> Effect:
         title=title,
         cause=cause,
         parameters={
-            "low": Parameter(f"{v}_min", _unit(signals), neutral=-_INFINITE),
-            "high": Parameter(f"{v}_max", _unit(signals), neutral=_INFINITE),
+            "low": Parameter(f"{v}_min", unit_of_all(signals), neutral=-_INFINITE),
+            "high": Parameter(f"{v}_max", unit_of_all(signals), neutral=_INFINITE),
         },
         initial_guesses=initial_guesses,
         active=active,
@@ -159,14 +160,14 @@ def input_dead_zone(physics: Physics) -> Effect:
         lambda n, u: jnp.sign(u) * jnp.maximum(jnp.abs(u) - n["width"], 0.0),
         title="Input dead zone",
         cause="a small input has no effect: friction in a valve, a pump that must first build up pressure",
-        parameters={"width": Parameter("w", _unit(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},
+        parameters={"width": Parameter("w", unit_of_all(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},
         initial_guesses=lambda span: [{"width": share * np.abs(span.u).max(0)} for share in (0.08, 0.2, 0.4)],
         active=lambda n, x, u: (np.abs(u) < n["width"]).any(-1),
         simpler=("input_offset",),  # the same where the input keeps its sign and never enters the zone
     )
 
 
-def _memory(physics: Physics, words: str, count: int) -> list[Signal]:
+def memory_signals(physics: Physics, words: str, count: int) -> list[Signal]:
     """Memory states of every input, oldest last."""
     return [
         Signal(f"{signal.name}_{words}{i + 1 if count > 1 else ''}", signal.unit, memory_of=signal.name)
@@ -194,13 +195,15 @@ def input_delay(physics: Physics) -> Effect:
         acts_on="input",
         parameters={"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
         initial_guesses=lambda span: [{"delay": np.asarray(k * dt)} for k in (0.5, 1.5, 2.5, 3.5, 5.0)],
-        wrap=lambda inner: with_memory(inner, "input_delay", _memory(physics, "delayed_", LONGEST_DELAY), advance),
-        needs=_remembered(physics),
+        wrap=lambda inner: with_memory(
+            inner, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance
+        ),
+        needs=remembered_inputs(physics),
     )
 
 
 def input_lag(physics: Physics) -> Effect:
-    dt, memory = physics.dt, _memory(physics, "lagged", 1)
+    dt, memory = physics.dt, memory_signals(physics, "lagged", 1)
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """What acts is the mean over the sample: its value at the end would be half a sample ahead."""
@@ -220,6 +223,6 @@ def input_lag(physics: Physics) -> Effect:
         parameters={"time_constant": Parameter("τ", "s", bounds=(0.0, 50.0 * dt), neutral=0.0)},
         initial_guesses=lambda span: [{"time_constant": np.asarray(k * dt)} for k in (1.0, 3.0, 8.0)],
         wrap=lambda inner: with_memory(inner, "input_lag", [s._replace(fit_initial=True) for s in memory], advance),
-        needs=_remembered(physics),
+        needs=remembered_inputs(physics),
         simpler=("input_delay",),  # a lag below one sample is a delay
     )

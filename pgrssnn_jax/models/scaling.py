@@ -32,12 +32,13 @@ def fit_scaling(train: Record, physics: Physics, *, rates_like_outputs: bool = F
     outputs = [signal.name for signal in physics.outputs]
     offset, scale = np.zeros(len(physics.states)), np.ones(len(physics.states))
     rates = [measured_rate(physics, state) for state in physics.states]
-    if not all(state.like or rate or state.memory_of for state, rate in zip(physics.states, rates, strict=True)):
+    inputs = [signal.name for signal in physics.inputs]
+    if not all(s.like or rate or s.memory_of in inputs for s, rate in zip(physics.states, rates, strict=True)):
         simulated = _simulated_states(train, physics)
         offset, scale = simulated.mean(0), simulated.std(0)
     for i, (state, rate) in enumerate(zip(physics.states, rates, strict=True)):
-        if state.memory_of is not None:
-            j = [signal.name for signal in physics.inputs].index(state.memory_of)
+        if state.memory_of in inputs:
+            j = inputs.index(state.memory_of)
             offset[i], scale[i] = u.offset[j], u.scale[j]
         same = state.like or (rate if rates_like_outputs else None)
         if same is not None:

@@ -18,7 +18,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.integrate import Integrator, zero_order_hold
+from pgrssnn_jax.physics.integrate import DerivativePoints, Integrator, derivative_points, held
 
 Params = Any
 OutputTiming = Literal["after_step", "before_step"]
@@ -47,9 +47,10 @@ class Signal(NamedTuple):
     A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
     output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
     by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
-    first value at the start. range: beyond it a value must be in another unit (degrees for rad); data are checked
-    against it. start: its value at the start of a record, where it is known. fit_initial: a memory that lasts, whose
-    start a fit must find like that of a state of the physics.
+    first value at the start; of a state, what that has done: zero at the start, scaled by a simulation. range: beyond
+    it a value must be in another unit (degrees for rad); data are checked against it. start: its value at the start of
+    a record, where it is known. fit_initial: a memory that lasts, whose start a fit must find like that of a state of
+    the physics.
     """
 
     name: str
@@ -277,13 +278,17 @@ def continuous(
     """A `Physics` from dx/dt = derivative(params, x, u), u held over the sample.
 
     integrator: `euler` or `rk4`; sub_steps: integration steps of dt / sub_steps seconds per sample. The other
-    arguments are those of `discrete`.
+    arguments are those of `discrete`. Its extension points are `DerivativePoints`.
     """
 
     def build(integrator: Integrator | str, sub_steps: int) -> Physics:
-        step = zero_order_hold(derivative, dt=dt, integrator=integrator, sub_steps=sub_steps)
-        return discrete(name, step, measure, params, dt=dt, **signals)._replace(
+        points = derivative_points(derivative, measure, dt=dt, integrator=integrator, sub_steps=sub_steps)
+        physics = discrete(name, *assemble(points), params, dt=dt, **signals)._replace(
             origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps}, source=derivative)
         )
+        return extended(physics, points, assemble)
+
+    def assemble(points: DerivativePoints) -> tuple[Step, Measure]:
+        return held(points), points.measure
 
     return build(integrator, sub_steps)

@@ -6,7 +6,7 @@ Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, II.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +46,20 @@ def rk4_looped(f: Callable[[State], State], x: State, h: float) -> State:
 INTEGRATORS: dict[str, Integrator] = {"euler": euler, "rk4": rk4, "rk4_looped": rk4_looped}
 
 
+def named(integrator: Integrator | str) -> Integrator:
+    """Raises `ValueError` for an unknown name."""
+    if not isinstance(integrator, str):
+        return integrator
+    if integrator not in INTEGRATORS:
+        raise ValueError(f"physics: integrator: expected one of {sorted(INTEGRATORS)}, found {integrator!r}")
+    return INTEGRATORS[integrator]
+
+
+def repeated(one: Callable[[State], State], x: State, times: int) -> State:
+    """one(one(... x))"""
+    return one(x) if times == 1 else jax.lax.fori_loop(0, times, lambda _, state: one(state), x)
+
+
 def zero_order_hold(
     derivative: Derivative, *, dt: float, integrator: Integrator | str, sub_steps: int = 1
 ) -> Derivative:
@@ -53,20 +67,44 @@ def zero_order_hold(
 
     Raises `ValueError` for an unknown integrator or fewer than one sub-step.
     """
-    if isinstance(integrator, str):
-        if integrator not in INTEGRATORS:
-            raise ValueError(f"physics: integrator: expected one of {sorted(INTEGRATORS)}, found {integrator!r}")
-        integrator = INTEGRATORS[integrator]
+    points = derivative_points(derivative, lambda p, x, u: x, dt=dt, integrator=integrator, sub_steps=sub_steps)
+    return held(points)
+
+
+class DerivativePoints(NamedTuple):
+    """Extension points of dx/dt = derivative(p, x, u), for effects inside a step. p: the physics' params.
+
+    derivative(p, x, u) -> dx/dt; advance(p, field, x, u) -> x after h seconds of dx/dt = field(x), in which u has its
+    place already: the integrator; measure(p, x, u) -> y. h: s; sub_steps: advances per sample.
+    """
+
+    derivative: Derivative
+    advance: Callable[[Any, Callable[[State], State], State, Float[jax.Array, " u"]], State]
+    measure: Derivative
+    h: float
+    sub_steps: int
+
+
+def derivative_points(
+    derivative: Derivative, measure: Derivative, *, dt: float, integrator: Integrator | str, sub_steps: int
+) -> DerivativePoints:
+    """Those of a physics without effects.
+
+    Raises `ValueError` for an unknown integrator or fewer than one sub-step."""
+    one = named(integrator)
     if sub_steps < 1:
         raise ValueError(f"physics: sub_steps: expected at least 1, found {sub_steps}")
-    h, advance = dt / sub_steps, integrator
+    h = dt / sub_steps
+    return DerivativePoints(derivative, lambda p, field, x, u: one(field, x, h), measure, h, sub_steps)
+
+
+def held(points: DerivativePoints) -> Derivative:
+    """x_t = step(params, x_{t-1}, u_t) with u_t held."""
 
     def step(params: Any, x: State, u: Float[jax.Array, " u"]) -> State:
         def field(state: State) -> State:
-            return derivative(params, state, u)
+            return points.derivative(params, state, u)
 
-        if sub_steps == 1:
-            return advance(field, x, h)
-        return jax.lax.fori_loop(0, sub_steps, lambda _, state: advance(field, state, h), x)
+        return repeated(lambda state: points.advance(params, field, state, u), x, points.sub_steps)
 
     return step

@@ -26,7 +26,7 @@ def first_output_state(
             return zero + state.start
         if state.like is not None:
             return y[..., outputs.index(state.like)]
-        return zero if state.memory_of is None else u[..., inputs.index(state.memory_of)]
+        return u[..., inputs.index(state.memory_of)] if state.memory_of in inputs else zero
 
     return xp.stack([start(state) for state in physics.states], axis=-1)
 

@@ -10,6 +10,7 @@ from benchmarks.hidden import noise, suite, units
 from benchmarks.hidden.check import free_run
 from benchmarks.hidden.nominal import nominal
 from benchmarks.hidden.score import wilson
+from pgrssnn_jax.effects import add_effect
 
 
 @pytest.mark.parametrize("kind", noise.KINDS)
@@ -44,6 +45,17 @@ def test_a_case_in_other_units_is_the_same_case(system):
         found = free_run(other, np.asarray(there.test.u, float), start * jnp.array(scale)) / there.units[1]
         np.testing.assert_allclose(found, free_run(one, np.asarray(here.test.u, float), start), atol=1e-10)
     assert there.units == units.drawn(system, plan.seed) != (1.0, 1.0)
+
+
+def test_effects_act_inside_the_derivative_in_any_unit():
+    plan = suite.Plan("servo", 3, "single", ("coulomb_friction",), (), 0.001)
+    here, there = suite.build(plan), suite.build(plan._replace(in_other_units=True))
+    with jax.enable_x64(True):
+        dry, c_y, found = here.magnitudes["dry"], there.units[1], []
+        for case, a, scale in ((here, dry, 1.0), (there, dry * c_y, c_y)):
+            physics = add_effect(nominal(case), "coulomb_friction", a=a)
+            found.append(free_run(physics, np.asarray(case.test.u, float), jnp.full(2, 0.01 * scale)) / scale)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-10)
 
 
 def test_intervals_of_shares_are_wilsons():

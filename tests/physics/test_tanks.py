@@ -128,7 +128,8 @@ def test_clamp_limits_pass_gradient_inside_and_none_outside():
 
 
 def test_clamped_keeps_everything_but_the_step():
-    free, held = cascaded_tanks(), clamped(cascaded_tanks())
+    free = cascaded_tanks()
+    held = clamped(free)
     assert held._replace(step=free.step) == free
 
 
