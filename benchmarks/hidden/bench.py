@@ -4,7 +4,7 @@
     y = clip(measured + y_offset + e, -y_top, y_top),   one offset per output
 
 dead(v) = sign(v) max(|v| - u_dead, 0). A plant is integrated by Runge-Kutta 4 in SUB_STEPS steps per sample; dry
-friction takes its share of the speed after every one of them, and stops what is slower.
+friction is the exact solution under the force of each of them.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,7 +28,7 @@ Slope = Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray]
 
 class Plant(NamedTuple):
     """slope(numbers, x, v): dx/dt, of states `[x, record]` and inputs `[record]`; outputs: states that are measured;
-    friction(numbers, h): by which number of the speed, a state, dry friction slows it in h seconds, if there is any;
+    speed: which state dry friction slows, if there is any; the state before it is its position;
     draw: sizes of an effect by its name; shape: an input as a wave of deviation 1, mean: of the input; reach: 99.9 %
     of the first output's readings lie within, on average over both records; lowest: that a state can have."""
 
@@ -142,12 +142,26 @@ def simulate(
             b = plant.slope(numbers, x + h / 2 * a, one)
             c = plant.slope(numbers, x + h / 2 * b, one)
             d = plant.slope(numbers, x + h * c, one)
-            x = np.maximum(x + h / 6 * (a + 2 * (b + c) + d), plant.lowest)
+            before, x = x, np.maximum(x + h / 6 * (a + 2 * (b + c) + d), plant.lowest)
             if dry and plant.speed is not None:
-                speed = x[plant.speed]
-                x[plant.speed] = speed - np.clip(speed, -h * dry, h * dry)
+                v, q = _rubbed(before[plant.speed], x[plant.speed], h, dry)
+                x[plant.speed], x[plant.speed - 1] = v, x[plant.speed - 1] + q
         found[:, t] = x.T
     return found
+
+
+def _rubbed(v0: Wave, free: Wave, h: float, dry: float) -> tuple[Wave, Wave]:
+    """Speed after h seconds with dry friction, and by how much the position changes more, under the otherwise constant
+    force that takes v0 to `free` without friction: it stops at τ, and stays or turns around."""
+    force = (free - v0) / h
+    sign = np.where(v0 != 0.0, np.sign(v0), np.sign(force))
+    slows = np.maximum(dry - sign * force, 1e-300)
+    stop = np.where(sign * force < dry, np.minimum(np.abs(v0) / slows, h), h)
+    rest, turns = h - stop, np.abs(force) > dry
+    held = stop < h
+    v = np.where(held, np.where(turns, (force + sign * dry) * rest, 0.0), free - sign * dry * h)
+    still = -sign * dry * stop * rest - np.where(turns, -sign * dry, force) * rest**2 / 2
+    return v, -sign * dry * stop**2 / 2 + np.where(held, still, 0.0)
 
 
 def _acting(numbers: Numbers, u: np.ndarray) -> np.ndarray:

@@ -40,20 +40,16 @@ class Judge(NamedTuple):
     problem: Problem
     criteria: Criteria
     gap: float
-    noise: float
     spent: dict[str, float]
 
     def counts(self, screening: Screening, candidate: Candidate) -> bool:
-        """Its gain is not luck, it predicts left-out blocks better by more than a standard error, and it closes its
-        share of the gap."""
+        """Its gain is not luck, and it closes its share of the gap and predicts left-out blocks better by more than a
+        standard error, or predicts them better with certainty."""
         if candidate.model is None or screening.redundant(candidate.name):
             return False
         better, error = candidate.model.better_than(screening.base)
-        if better <= self.criteria.standard_errors * error:
-            return False
-        closed, left = screening.rms() - screening.rms(candidate.model), screening.rms() - self.noise
-        share = closed >= self.criteria.share * self.gap
-        if not share and not closed >= self.criteria.rest * left > 0.0:
+        share = screening.rms() - screening.rms(candidate.model) >= self.criteria.share * self.gap
+        if better <= (self.criteria.standard_errors if share else self.criteria.certain) * error:
             return False
         p_value, others = screening.p_value(candidate), screening.base.estimate.active
         if not others or not share:
@@ -67,12 +63,17 @@ class Judge(NamedTuple):
         if not passing:
             return None
         best = passing[0]
-        simpler = [c for c in passing[1:] if self._simpler(c, best) and _as_good(c, best)]
+        simpler = [c for c in passing[1:] if self._preferred(screening, c, best)]
         return simpler[0] if simpler else best
 
-    def _simpler(self, one: Candidate, other: Candidate) -> bool:
-        contained = one.name in self.problem.effect(other.name).simpler
-        return contained or count_of_numbers(self.problem, one.guess) < count_of_numbers(self.problem, other.guess)
+    def _preferred(self, screening: Screening, one: Candidate, best: Candidate) -> bool:
+        """A special case of the best one also where that closes hardly more: what is left may be an error of the model
+        in another place, or of an integrator."""
+        if one.name in self.problem.effect(best.name).simpler:
+            more = screening.rms(one.model) - screening.rms(best.model)
+            return _as_good(one, best) or more < self.criteria.share * self.gap
+        fewer = count_of_numbers(self.problem, one.guess) < count_of_numbers(self.problem, best.guess)
+        return fewer and _as_good(one, best)
 
 
 def _as_good(one: Candidate, best: Candidate) -> bool:
@@ -105,11 +106,10 @@ def select(
         return known[key]
 
     first = screened(start)
-    noise = first.noise**0.5
     if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
-        judge = Judge(problem, criteria, first.rms(), float("inf"), {})
+        judge = Judge(problem, criteria._replace(certain=float("inf")), first.rms(), {})
     else:
-        judge = Judge(problem, criteria, max(first.rms() - noise, 0.0), noise, {})
+        judge = Judge(problem, criteria, max(first.rms() - first.noise**0.5, 0.0), {})
     model = _settled(judge, screened, first.base)
     for other in _other_beginnings(criteria, first, model):
         found = _settled(judge, screened, other)

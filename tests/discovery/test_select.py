@@ -103,7 +103,7 @@ def chosen(tanks: Problem, rich: np.ndarray, lean: np.ndarray) -> str:
     """Which of two enters, from its errors; the physics alone has ten times the noise."""
     base = model(tanks, 100.0)
     models = {name: model(tanks, 1.0, (name,), error) for name, error in ((RICH, rich), (LEAN, lean))}
-    best = Judge(tanks, Criteria(), gap=9.0, noise=1.0, spent={}).best(screening(base, models))
+    best = Judge(tanks, Criteria(), gap=9.0, spent={}).best(screening(base, models))
     assert best is not None
     return best.name
 
