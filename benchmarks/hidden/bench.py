@@ -144,8 +144,8 @@ def simulate(
             d = plant.slope(numbers, x + h * c, one)
             before, x = x, np.maximum(x + h / 6 * (a + 2 * (b + c) + d), plant.lowest)
             if dry and plant.speed is not None:
-                v, q = _rubbed(before[plant.speed], x[plant.speed], h, dry)
-                x[plant.speed], x[plant.speed - 1] = v, x[plant.speed - 1] + q
+                speed, way = _rubbed(before[plant.speed], x[plant.speed], h, dry)
+                x[plant.speed], x[plant.speed - 1] = speed, x[plant.speed - 1] + way
         found[:, t] = x.T
     return found
 
