@@ -70,7 +70,7 @@ def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) 
     setup = _set_up(case, plan.removed)
     if plan.in_other_units or not problems:  # units are part of the program
         problems.clear()
-        problem = build_problem(setup.physics, setup.effects, fixed=setup.settings.fixed)
+        problem = build_problem(setup.physics, setup.first_effects, fixed=setup.settings.fixed)
         problems.append((problem, Corrected()))
     problem, corrected = problems[0]
     problem = problem.with_numbers(setup.physics.params)

@@ -25,21 +25,26 @@ CURVE = "correction"
 class Corrected:
     """Of one physics and catalogue; each is built when first asked for, and kept for other numbers of them."""
 
-    built: dict[str, Problem] = field(default_factory=dict[str, Problem])
+    built: dict[tuple[tuple[str, ...], str], Problem] = field(default_factory=dict)
 
     def by(self, problem: Problem, name: str) -> Problem:
         """The problem with one family of corrections (`flexible.families`); see `numbers_of` for which one it is."""
         own = _effect_of(problem.physics, name)
-        return self._kept(problem, own.name, (own,))
+        return self._kept(problem, own.name, (*problem.effects, own))
 
     def by_all(self, problem: Problem) -> Problem:
         """With every family as an effect of its own."""
-        return self._kept(problem, "", flexible_effects(problem.physics))
+        return self._kept(problem, "all", (*problem.effects, *flexible_effects(problem.physics)))
 
-    def _kept(self, problem: Problem, key: str, more: tuple[Effect, ...]) -> Problem:
+    def with_catalogue(self, problem: Problem, effects: tuple[Effect, ...]) -> Problem:
+        """With another catalogue."""
+        return self._kept(problem, "", effects)
+
+    def _kept(self, problem: Problem, name: str, effects: tuple[Effect, ...]) -> Problem:
+        key = (tuple(effect.name for effect in effects), name)
         if key not in self.built:
             fixed = {slot.path[0] for slot in problem.slots if slot.effect is None and not slot.meaning.trainable}
-            effects, accelerate = (*problem.effects, *more), problem.code.accelerate
+            accelerate = problem.code.accelerate
             self.built[key] = build_problem(problem.physics, effects, fixed=sorted(fixed), accelerate=accelerate)
         return self.built[key].with_numbers(problem.physics.params)
 

@@ -24,7 +24,7 @@ from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
 from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring, scoring
 from pgrssnn_jax.discovery.select import Selection, select
-from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
@@ -62,35 +62,40 @@ class Discovery(NamedTuple):
     seconds: dict[str, float]
 
 
+class Named(NamedTuple):
+    """A problem with its record and what was found in it. known: puts the prior of the physics on problems."""
+
+    problem: Problem
+    how: Scoring
+    known: Callable[[Problem], Problem]
+    nominal: Guess
+    selection: Selection
+
+
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
     """Of a physics whose free run over the record stays finite (`check_free_run`)."""
     chosen = setup.settings
-    problem = build_problem(setup.physics, setup.effects, fixed=chosen.fixed, accelerate=chosen.accelerate)
+    problem = build_problem(setup.physics, setup.first_effects, fixed=chosen.fixed, accelerate=chosen.accelerate)
     return discover_in(problem, setup, notify)
 
 
 def discover_in(
     problem: Problem, setup: Setup, notify: Callable[[str], None], corrected: Corrected | None = None
 ) -> Discovery:
-    """corrected: kept where many records are examined with one physics and catalogue."""
-    chosen, seconds = setup.settings, dict[str, float]()
+    """problem: with the effects that are looked for first; corrected: kept where many records are examined with one
+    physics and catalogue."""
+    chosen, seconds, corrected = setup.settings, dict[str, float](), corrected or Corrected()
     with jax.enable_x64(True):
-        how = scoring(problem, setup.estimation, chosen, setup.start, np.random.default_rng(chosen.seed))
-        with _timed(seconds, "recalibrate"):
-            nominal = nominal_guess(problem, how.signals(problem, 0), how.settings)
-            begun = recalibrated_guess(problem, how.signals(problem, 0), nominal, how.settings, chosen)
-            known = _as_known(problem, how, begun, chosen)
-            problem = known(problem)
-        with _timed(seconds, "name"):
-            criteria = chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
-            selection = select(problem, begun, criteria, notify, how.screen(problem, chosen.without, criteria))
-            selection = how.finish(problem, selection)
+        named = _named(problem, setup, notify, seconds)
+        if _elaborate(named, setup, chosen.criteria):
+            notify("errors stay above the noise: elaborate effects are looked for too")
+            named = _named(corrected.with_catalogue(problem, setup.effects), setup, notify, seconds)
+        problem, how, known, nominal, selection = named
         with _timed(seconds, "locate"):
             location = _located(problem, how, selection)
         with _timed(seconds, "judge"):
-            effects = len(selection.final.estimate.active)
-            signals = partial(how.signals, effects=effects)
-            corrections = Corrections(problem, corrected or Corrected(), known, signals, how.settings)
+            signals = partial(how.signals, effects=len(selection.final.estimate.active))
+            corrections = Corrections(problem, corrected, known, signals, how.settings)
             nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
             before = evaluate(problem, how.signals(problem, 0), nominal)
             rms = (before.cost / selection.first.size) ** 0.5
@@ -107,6 +112,28 @@ def discover_in(
     return Discovery(
         problem, how.uncut, whole, selection, nameless, judgement, told, location, convention, train, test, seconds
     )
+
+
+def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], seconds: dict[str, float]) -> Named:
+    """The physics recalibrated, and the effects that are missing."""
+    chosen = setup.settings
+    how = scoring(problem, setup.estimation, chosen, setup.start, np.random.default_rng(chosen.seed))
+    with _timed(seconds, "recalibrate"):
+        nominal = nominal_guess(problem, how.signals(problem, 0), how.settings)
+        begun = recalibrated_guess(problem, how.signals(problem, 0), nominal, how.settings, chosen)
+        known = _as_known(problem, how, begun, chosen)
+        problem = known(problem)
+    with _timed(seconds, "name"):
+        criteria = chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
+        selection = select(problem, begun, criteria, notify, how.screen(problem, chosen.without, criteria))
+        selection = how.finish(problem, selection)
+    return Named(problem, how, known, nominal, selection)
+
+
+def _elaborate(named: Named, setup: Setup, criteria: Criteria) -> bool:
+    """Is there an elaborate effect to look for, and errors for it to explain?"""
+    left = named.selection.last.rms() > criteria.above * named.selection.floor
+    return left and len(setup.first_effects) < len(setup.effects)
 
 
 def _told(corrections: Corrections, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:

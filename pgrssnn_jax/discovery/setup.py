@@ -51,6 +51,11 @@ class Setup(NamedTuple):
     settings: DiscoverySettings
     training: TrainingSettings
 
+    @property
+    def first_effects(self) -> tuple[Effect, ...]:
+        """Those that are looked for before any elaborate one."""
+        return tuple(effect for effect in self.effects if not effect.elaborate)
+
 
 def set_up(
     physics: Physics,

@@ -78,7 +78,8 @@ class Effect(NamedTuple):
     some; needs: which physics can take it; active: share of the samples in which it acts, from `(numbers, x, u)` with
     x `[time, x]`, u `[time, u]`, None where it always does; simpler: names of effects that are preferred to this one
     where they do as well; channels: what one number of an array belongs to (`output`, `input`, `joint`; of a matrix
-    `output, input`).
+    `output, input`); elaborate: it has so many numbers, or so much to compute, that discovery looks for it only where
+    the others leave errors above the noise.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Effect(NamedTuple):
     active: Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray] | None = None
     simpler: tuple[str, ...] = ()
     channels: str = ""
+    elaborate: bool = False
 
     def neutral(self) -> dict[str, np.ndarray]:
         """Every number at the value at which the effect changes nothing.

@@ -117,6 +117,7 @@ def _effect(
         needs=states_of(physics),
         simpler=dry.simpler,
         channels=VELOCITY,
+        elaborate=bool(dry.simpler),
     )
 
 

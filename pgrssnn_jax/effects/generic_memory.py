@@ -47,6 +47,7 @@ def backlash(physics: Physics) -> Effect:
         needs=remembered_inputs(physics),
         simpler=("input_offset", "input_delay"),  # of an input that moves in one direction, or to and fro
         channels="input",
+        elaborate=True,
     )
 
 
@@ -125,6 +126,7 @@ def hysteresis(physics: Physics, places: list[Place]) -> Effect:
         needs=states_of(physics),
         simpler=("linear_spring", "coulomb_friction"),
         channels=VELOCITY,
+        elaborate=True,
     )
 
 
