@@ -40,15 +40,19 @@ class Judge(NamedTuple):
     problem: Problem
     criteria: Criteria
     gap: float
+    noise: float
     spent: dict[str, float]
 
     def counts(self, screening: Screening, candidate: Candidate) -> bool:
-        """Its gain is not luck, and it closes its share of the gap and predicts left-out blocks better by more than a
-        standard error, or predicts them better with certainty."""
+        """Its gain is not luck; it closes its share of the gap and predicts left-out blocks better by more than a
+        standard error, or it closes most of what others leave and predicts them better with certainty."""
         if candidate.model is None or screening.redundant(candidate.name):
             return False
         better, error = candidate.model.better_than(screening.base)
-        share = screening.rms() - screening.rms(candidate.model) >= self.criteria.share * self.gap
+        closed, left = screening.rms() - screening.rms(candidate.model), screening.rms() - self.noise
+        share = closed >= self.criteria.share * self.gap
+        if not share and not closed >= self.criteria.rest * left > 0.0:
+            return False
         if better <= (self.criteria.standard_errors if share else self.criteria.certain) * error:
             return False
         p_value, others = screening.p_value(candidate), screening.base.estimate.active
@@ -106,10 +110,11 @@ def select(
         return known[key]
 
     first = screened(start)
+    noise = first.noise**0.5
     if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
-        judge = Judge(problem, criteria._replace(certain=float("inf")), first.rms(), {})
+        judge = Judge(problem, criteria, first.rms(), float("inf"), {})
     else:
-        judge = Judge(problem, criteria, max(first.rms() - first.noise**0.5, 0.0), {})
+        judge = Judge(problem, criteria, max(first.rms() - noise, 0.0), noise, {})
     model = _settled(judge, screened, first.base)
     for other in _other_beginnings(criteria, first, model):
         found = _settled(judge, screened, other)

@@ -88,7 +88,9 @@ def choices(**changes: Any) -> DiscoverySettings:
     return DiscoverySettings(**{**standard, **changes})
 
 
-def setup_of(problem: Problem, train: Record, test: Record, settings: DiscoverySettings, start: Start) -> Setup:
+def setup_of(
+    problem: Problem, train: Record, test: Record, settings: DiscoverySettings, start: Start = Start.SHARED
+) -> Setup:
     """As `set_up` makes it, of records that are one realisation and settings that need no choice."""
     physics, training = problem.physics, training_settings(ModelSpec())
     return Setup(physics, physics, problem.effects, train, train, train, test, start, settings, training)

@@ -3,10 +3,10 @@ cannot tell is said."""
 
 import numpy as np
 import pytest
-from discovery.small_cases import choices, discovered, fine_tanks, pump, tank_record
+from discovery.small_cases import choices, discovered, fine_tanks, pump, setup_of, tank_record
 
 from pgrssnn_jax.discovery.corrected import Corrected
-from pgrssnn_jax.discovery.discover import Discovery
+from pgrssnn_jax.discovery.discover import Discovery, discover_in
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.untestable import untestable
@@ -55,6 +55,17 @@ def test_hidden_effects_of_tanks_are_named_and_nothing_else(tanks, hidden, name,
     assert float(params.effects[name][number[0]]) == pytest.approx(number[1], rel=0.03)
     assert float(params.own["k1"]) == pytest.approx(TRUE["k1"], rel=0.05)
     assert found.test.improvement[0] > 0.0
+
+
+def test_an_elaborate_effect_is_found_where_the_others_leave_errors(tanks):
+    problem, _ = tanks
+    setup = setup_of(problem, *(tank_record(U, k=TRUE, seed=i, rim=RIM, share=0.8) for i in (0, 1)), choices())
+    effects = tuple(e._replace(elaborate=e.name == "overflow_1to2") for e in problem.effects)
+    setup, said = setup._replace(effects=effects), []
+    first = build_problem(problem.physics, setup.first_effects)
+    found = discover_in(first, setup, said.append)
+    assert found.selection.final.estimate.active == ("overflow_1to2",)
+    assert any("elaborate" in line for line in said)
 
 
 A, B, C = np.array([[0.6, 0.7], [-0.1, 0.0]]), np.array([-1.1, 0.0]), np.array([0.9, -0.1])

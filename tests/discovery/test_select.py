@@ -1,6 +1,7 @@
 """Which effects are taken, dropped and exchanged, and which beginnings are followed: screenings made by hand."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,21 @@ def test_a_partner_of_an_effect_that_is_certain_needs_less(problem):
     assert found(problem, energies, {"B beside A": 0.1}) == "A"
 
 
+def test_every_further_effect_is_paid_for(problem):
+    """The probabilities of luck add up: two that are likely enough alone are too much together."""
+    energies = {"": 400.0, "A": 100.0, "A B": 20.0, "A B C": 5.0}
+    assert found(problem, energies, {"B beside A": LIKELY}) == "A B C"
+    assert found(problem, energies, {"B beside A": LIKELY, "C beside A B": LIKELY}) == "A B"
+
+
+@pytest.mark.parametrize(("error", "enters"), [(NOISE, True), (NOISE[:, ::-1], False)])
+def test_an_effect_that_closes_the_rest_must_predict_better_with_certainty(tanks, error, enters):
+    """From 1.1 to 1.0 times the noise, where the physics alone has 20 times; errors in another order say less."""
+    base = model(tanks, 1.21, (LEAN,))
+    candidates = screening(base, {RICH: model(tanks, 1.0, (LEAN, RICH), error)})
+    assert (Judge(tanks, Criteria(), gap=19.0, noise=1.0, spent={}).best(candidates) is not None) == enters
+
+
 def test_what_the_parameters_can_do_exactly_is_no_effect(problem):
     energies = {"": 400.0, "A": 1.0, "C": 2.0}
     assert found(problem, energies, visible={A: (100.0, 50.0)}) == "A"
@@ -103,7 +119,7 @@ def chosen(tanks: Problem, rich: np.ndarray, lean: np.ndarray) -> str:
     """Which of two enters, from its errors; the physics alone has ten times the noise."""
     base = model(tanks, 100.0)
     models = {name: model(tanks, 1.0, (name,), error) for name, error in ((RICH, rich), (LEAN, lean))}
-    best = Judge(tanks, Criteria(), gap=9.0, spent={}).best(screening(base, models))
+    best = Judge(tanks, Criteria(), gap=9.0, noise=1.0, spent={}).best(screening(base, models))
     assert best is not None
     return best.name
 
@@ -116,6 +132,12 @@ def test_of_two_that_predict_as_well_the_one_with_fewer_numbers_enters(tanks):
 def test_the_better_one_enters_whichever_has_fewer_numbers(tanks):
     assert chosen(tanks, rich=NOISE, lean=1.2 * NOISE) == RICH
     assert chosen(tanks, rich=1.2 * NOISE, lean=NOISE) == LEAN
+
+
+@pytest.mark.parametrize(("error", "expected"), [(1.1, LEAN), (1.5, RICH)])
+def test_a_special_case_is_preferred_where_the_other_closes_hardly_more(tanks, error, expected):
+    effects = tuple(e._replace(simpler=(LEAN,)) if e.name == RICH else e for e in tanks.effects)
+    assert chosen(replace(tanks, effects=effects), rich=NOISE, lean=error * NOISE) == expected
 
 
 @pytest.mark.parametrize("others", [{A: 3.0, B: 2.0}, {B: 2.0}])
