@@ -17,7 +17,7 @@ from jax.extend.core import Jaxpr, Literal, Primitive
 
 Array = jax.Array | np.ndarray
 Numbers = Sequence[Any]
-_MOST = 600  # operations on numbers: beyond, compiling takes longer than is gained
+_MOST = 700  # operations on numbers: beyond, compiling takes longer than is gained
 # fmt: off
 _EACH = frozenset({
     "abs", "acos", "acosh", "add", "add_any", "and", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "clamp",

@@ -180,12 +180,18 @@ def input_delay(physics: Physics) -> Effect:
     n, dt = len(physics.inputs), physics.dt
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Linear interpolation between the two samples about t - d."""
+        """The parabola through the samples at, before and after t - d, for an input that changes within a sample: it is
+        late by d on average and no more spread out. A straight line between two samples spreads it by d (dt - d), and
+        that shows in a position as damping."""
         kept = jnp.concatenate([u, past])
         samples = kept.reshape(LONGEST_DELAY + 1, n)
-        lags = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)
-        weights = jnp.maximum(1.0 - jnp.abs(lags - p["delay"] / dt), 0.0)
-        return (weights[:, None] * samples).sum(0), kept[: LONGEST_DELAY * n]
+        lags, delay = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype), p["delay"] / dt
+        whole = jnp.floor(delay)
+        part, away = delay - whole, jnp.abs(lags - (whole + 1.0))
+        bend = 3.0 * jnp.maximum(1.0 - away, 0.0) + jnp.clip(away - 2.0, -1.0, 0.0)  # -1, 2, -1
+        weights = jnp.maximum(1.0 - jnp.abs(lags - delay), 0.0) + 0.5 * part * (1.0 - part) * bend
+        whole_gain = weights.sum()  # not 1 where the last of the three samples is forgotten
+        return (weights[:, None] * samples).sum(0) / whole_gain, kept[: LONGEST_DELAY * n]
 
     return Effect(
         "input_delay",
