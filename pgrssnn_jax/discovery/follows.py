@@ -13,9 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
+from pgrssnn_jax.discovery.estimate import Estimate
 from pgrssnn_jax.discovery.flexible import nearness
+from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.noise import surrogates
-from pgrssnn_jax.discovery.problem import Signals
+from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.settings import Criteria
 
 _SAMPLES = (0, 4, 16, 64)  # time constants of the filters, 0: none
 _RIDGE = 1e-2  # per sample, of features with unit variance
@@ -27,6 +30,15 @@ class Follows(NamedTuple):
 
     share: float
     p_value: float
+
+    def clearly(self, criteria: Criteria) -> bool:
+        return self.share >= criteria.follows and self.p_value <= criteria.p_value
+
+
+def errors_follow(problem: Problem, signals: Signals, estimate: Estimate, rng: np.random.Generator) -> Follows:
+    """Of a model."""
+    _, x = simulate(problem, signals.u, estimate.theta[None], estimate.x0[None])
+    return follows(signals, x[0][..., : len(problem.physics.states)], estimate.error, rng)
 
 
 def follows(

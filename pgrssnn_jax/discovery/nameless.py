@@ -11,8 +11,7 @@ import numpy as np
 
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
-from pgrssnn_jax.discovery.follows import Follows, follows
-from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.follows import Follows, errors_follow
 from pgrssnn_jax.discovery.nonparametric import FINALISTS, Corrections, score_corrections
 from pgrssnn_jax.discovery.problem import carried
 from pgrssnn_jax.discovery.scoring import Scoring
@@ -46,8 +45,7 @@ def look_beyond(
     if selection.last.rms() <= criteria.clear * selection.floor:
         return Nameless(beside, alone, None, None)
     problem, signals = corrections.problem, how.uncut
-    _, x = simulate(problem, signals.u, final.estimate.theta[None], final.estimate.x0[None])
-    driven = follows(signals, x[0][..., : len(problem.physics.states)], final.estimate.error, rng)
+    driven = errors_follow(problem, signals, final.estimate, rng)
     return Nameless(beside, alone, spectral_line(signals, final.estimate.error, problem.physics.dt), driven)
 
 

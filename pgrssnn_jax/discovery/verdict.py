@@ -118,8 +118,7 @@ def _dependent(selection: Selection, nameless: Nameless, criteria: Criteria) -> 
     explained = bool(selection.final.estimate.active) and closed >= _EXPLAINED * (
         selection.first.rms() - selection.floor
     )
-    strong = nameless.follows.share >= criteria.follows and nameless.follows.p_value <= criteria.p_value
-    return strong and not explained
+    return nameless.follows.clearly(criteria) and not explained
 
 
 def _alternatives(problem: Problem, screening: Screening, name: str, criteria: Criteria) -> tuple[Candidate, ...]:

@@ -81,7 +81,13 @@ def assert_best(screening: Screening, names) -> None:
 def test_the_start_of_a_lag_is_found_and_that_of_a_delay_is_the_input():
     code = shared("pendulum").code
     free = {state.name: bool(f) for state, f in zip(code.full.states, code.free_start, strict=True)}
-    assert {name for name, f in free.items() if f} == {"angle", "rate", "torque_lagged"}
+    assert {name for name, f in free.items() if f} == {
+        "angle",
+        "rate",
+        "torque_lagged",
+        "torque_behind_play",
+        "rate_yielding",
+    }
     assert any(name.startswith("torque_delayed") for name in free)
 
 
