@@ -152,7 +152,7 @@ def test_of_a_physics_that_has_only_steps_it_is_of_second_order(name):
 
 
 @pytest.mark.parametrize("name", CASES)
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(unit=st.floats(1e-3, 1e3))
 def test_units_change_no_answer(name, unit):
     """The same numbers in other units move the same carts, and fits begin at the same ones."""

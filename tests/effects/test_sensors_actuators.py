@@ -118,10 +118,11 @@ def test_a_step_between_samples_moves_a_mass_as_much(delay):
         dt=1.0,
     )
     late = pg.add(mass, "input_delay", delay=delay)
+    step = quick_jit(late.step)
     x = np.zeros(2 + LONGEST_DELAY)
     with jax.enable_x64(True):
         for t in range(1, 13):
-            x = np.asarray(late.step(late.params, jnp.asarray(x), jnp.ones(1)))
+            x = np.asarray(step(late.params, jnp.asarray(x), jnp.ones(1)))
             if t >= delay + 3:
                 np.testing.assert_allclose(x[:2], [(t - delay) ** 2 / 2, t - delay], rtol=1e-12)
 
