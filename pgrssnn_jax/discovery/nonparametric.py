@@ -73,7 +73,7 @@ def _weighted(signals: Signals, response: Response) -> Float[np.ndarray, "n k"]:
     return columns.reshape(-1, columns.shape[-1])
 
 
-def _falls(at: Linearisation, added: Sequence[Float[np.ndarray, "n k"]]) -> list[float]:
+def _falls(at: Linearisation, added: Sequence[Float[np.ndarray, "n _"]]) -> list[float]:
     """Part of the error energy that columns take up beside all that is free anyway."""
     measured = at.measured.ravel()
     free = orthonormal(at.columns.reshape(at.error.size, -1) * measured[:, None])
