@@ -15,7 +15,6 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.estimate import Guess, evaluate
-from pgrssnn_jax.discovery.follows import errors_follow
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import noise_floor
@@ -89,7 +88,7 @@ def discover_in(
     with jax.enable_x64(True):
         named = _named(problem, setup, notify, seconds)
         if _elaborate(named, setup, chosen.criteria):
-            notify("errors stay above the noise and follow the signals: elaborate effects are looked for too")
+            notify("errors stay above the noise: elaborate effects are looked for too")
             named = _named(corrected.with_catalogue(problem, setup.effects), setup, notify, seconds)
         problem, how, known, nominal, selection = named
         with _timed(seconds, "locate"):
@@ -132,13 +131,9 @@ def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], second
 
 
 def _elaborate(named: Named, setup: Setup, criteria: Criteria) -> bool:
-    """Is there an elaborate effect to look for, and are there errors that follow the signals?"""
-    selection, final = named.selection, named.selection.final.estimate
-    none = len(setup.first_effects) == len(setup.effects)
-    if none or selection.last.rms() <= criteria.above * selection.floor:
-        return False
-    rng = np.random.default_rng(setup.settings.seed)
-    return errors_follow(named.problem, named.how.uncut, final, rng).clearly(criteria)
+    """Is there an elaborate effect to look for, and are there errors for it to explain?"""
+    left = named.selection.last.rms() > criteria.above * named.selection.floor
+    return left and len(setup.first_effects) < len(setup.effects)
 
 
 def _told(corrections: Corrections, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:

@@ -53,7 +53,8 @@ class Judge(NamedTuple):
         share = closed >= self.criteria.share * self.gap
         if not share and not closed >= self.criteria.rest * left > 0.0:
             return False
-        if better <= (self.criteria.standard_errors if share else self.criteria.certain) * error:
+        sure = not share or self.problem.effect(candidate.name).elaborate
+        if better <= (self.criteria.certain if sure else self.criteria.standard_errors) * error:
             return False
         p_value, others = screening.p_value(candidate), screening.base.estimate.active
         if not others or not share:

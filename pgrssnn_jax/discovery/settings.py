@@ -31,7 +31,7 @@ class Criteria(NamedTuple):
     share: float = 0.02  # least part of the gap that an effect closes: below, it is not worth a name
     rest: float = 0.5  # or of what others leave of it, where it is `certain`
     standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
-    certain: float = 3.0  # the same for an effect that closes less than `share`, and a correction without a name
+    certain: float = 3.0  # the same for less than `share`, elaborate effects, and corrections without a name
     nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed
     tied: float = 1.28  # standard errors by which a tenth of equals predict worse: within them effects are ambiguous
     most: int = 4  # effects

@@ -78,9 +78,11 @@ def reading_convention(problem: Problem, model: Model) -> str | None:
 
 def confirmed(judgement: Judgement, improvement: tuple[float, float], relative_error: float) -> Judgement:
     """The same after the test record: an improvement whose interval contains none, or a model that predicts no better
-    than the mean of the record (error relative to its standard deviation), is no finding."""
+    than the mean of the record (error relative to its standard deviation), is no finding; nor are
+    effects that stand for an unknown one and do harm."""
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
-    if found and (improvement[0] <= 0.0 or relative_error >= 1.0):
+    worse = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0  # by effects named as a help
+    if worse or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
     return judgement
 

@@ -79,7 +79,7 @@ class Effect(NamedTuple):
     x `[time, x]`, u `[time, u]`, None where it always does; simpler: names of effects that are preferred to this one
     where they do as well; channels: what one number of an array belongs to (`output`, `input`, `joint`; of a matrix
     `output, input`); elaborate: it has so many numbers, or so much to compute, that discovery looks for it only where
-    the others leave errors that follow the signals.
+    the others leave errors above the noise, and asks for certainty.
     """
 
     name: str

@@ -1,10 +1,12 @@
 """Effects that were hidden in simulated records are named, nothing is named where nothing is missing, and what the data
 cannot tell is said."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from discovery.small_cases import choices, discovered, fine_tanks, pump, setup_of, tank_record
 
+import pgrssnn_jax as pg
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery, discover_in
 from pgrssnn_jax.discovery.problem import Problem, build_problem
@@ -129,3 +131,32 @@ def test_a_gain_that_a_matrix_takes_up_is_untestable():
     reasons = {entry["name"]: entry["reason"] for entry in untestable(found)}
     assert set(reasons) == {"input_gain"}
     assert "parameters" in reasons["input_gain"]
+
+
+def oscillator(m: float, c: float, k: float) -> pg.Physics:
+    return pg.continuous(
+        "oscillator",
+        lambda p, x, u: jnp.stack([x[1], (u[0] - p["c"] * x[1] - p["k"] * x[0]) / p["m"]]),
+        lambda p, x, u: x[:1],
+        {"m": m, "c": c, "k": k},
+        parameters={name: pg.Parameter(name, bounds=(0.01, 20.0)) for name in ("m", "c", "k")},
+        states=(pg.Signal("position", "m", like="position"), pg.Signal("velocity", "m/s", rate_of="position")),
+        inputs=(pg.Signal("force", "N"),),
+        outputs=(pg.Signal("position", "m"),),
+        dt=0.05,
+    )
+
+
+def test_hysteresis_of_an_oscillator_is_named_with_its_numbers():
+    """It is elaborate: simpler effects are tried first, and leave errors."""
+    hidden, records = pg.add(oscillator(1.05, 0.42, 3.8), "hysteresis", k=3.0, s=0.25), []
+    for seed in (0, 1):
+        draw = np.random.default_rng(seed)
+        u = np.repeat(draw.uniform(-2.5, 2.5, 40), 20)[:, None]
+        y = np.asarray(pg.simulate(hidden, u, np.zeros(3)).y)
+        noisy = y + 0.003 * draw.standard_normal(y.shape)
+        records.append(pg.record(u, noisy, dt=0.05, inputs={"force": "N"}, outputs={"position": "m"}, start="unknown"))
+    found = pg.discover(oscillator(1.0, 0.4, 4.0), *records, network_epochs=0, quiet=True)
+    assert [effect.name for effect in found.effects] == ["hysteresis"]
+    for name, true in (("k", 3.0), ("s", 0.25)):
+        assert found.effects[0].parameters[name]["value"][0] == pytest.approx(true, rel=0.03)

@@ -136,3 +136,10 @@ def test_the_test_record_refutes_findings_alone(verdict):
     for improvement, relative in (((-0.01, 0.2), 0.1), ((0.1, 0.2), 1.0)):
         assert confirmed(given, improvement, relative).verdict is (Verdict.NOT_CONFIRMED if refuted else verdict)
     assert confirmed(given, (0.1, 0.2), 0.1) is given
+
+
+@pytest.mark.parametrize(("improvement", "refuted"), [((-0.3, -0.1), True), ((-0.1, 0.1), False), ((0.1, 0.2), False)])
+def test_names_that_stand_for_an_unknown_effect_must_do_no_harm(improvement, refuted):
+    given = Judgement(Verdict.UNKNOWN_EFFECT, None, {})
+    expected = Verdict.NOT_CONFIRMED if refuted else Verdict.UNKNOWN_EFFECT
+    assert confirmed(given, improvement, 2.0).verdict is expected
