@@ -159,7 +159,7 @@ def _line(row: Row) -> str:
 
 
 def _digest() -> str:
-    """Of the sources that decide what is found."""
+    """Of the sources of discovery: a row holds for the code that made it."""
     found = hashlib.sha256()
     for folder in _DECIDES:
         for file in sorted((_ROOT / folder).rglob("*.py")):

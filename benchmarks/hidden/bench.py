@@ -52,17 +52,24 @@ class Plant(NamedTuple):
     lowest: float = -np.inf
 
 
+def driven_body(name: str, catalogue: Catalogue, nominal: Numbers, slope: Slope, **more: Any) -> Plant:
+    """A body under a force; its position is measured, and dry friction slows it."""
+    channels = {"inputs": (Channel("force", "N"),), "outputs": (Channel("position", "m"),)}
+    return Plant(name, catalogue, nominal, 0.15, slope, **channels, measured=(0,), speed=1, **more)
+
+
 def build(
     plant: Plant,
     seed: int,
     truth: tuple[str, ...] = (),
     *,
-    noise: float,
+    noise: float | None = None,
     noise_kind: str = "white",
     removed: tuple[str, ...] = (),
 ) -> Case:
-    """Raises `ValueError` for an unknown effect."""
+    """noise: None for the middle of the plant's levels. Raises `ValueError` for an unknown effect."""
     plant.catalogue.check(truth)
+    noise = plant.catalogue.noises[1] if noise is None else noise
     rng = streams(plant.name, seed, "plant effects input start noise process")
     own = {k: v * (1 + rng["plant"].uniform(-plant.spread, plant.spread)) for k, v in plant.nominal.items()}
     draw = {k: v for name in truth for k, v in plant.draw(name, rng["effects"]).items()}

@@ -6,6 +6,7 @@ Levels 3 and 5 in m are measured, the inflow is in m/s. r_i within 12 % of the n
 inflow is an inflow of the first vessel, and a dead zone where it is negative.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -17,7 +18,7 @@ from pgrssnn_jax.records.record import Channel
 
 from . import bench
 from .bench import Numbers, Plant
-from .case import Case, Catalogue
+from .case import Catalogue
 from .draws import Quantile, either_sign, uniform
 from .signals import Wave, low_pass, random_steps, standard
 
@@ -114,7 +115,4 @@ PLANT = Plant(
     mean=0.15,
     lowest=0.0,
 )
-
-
-def build(seed: int, truth: tuple[str, ...] = (), *, noise: float = 0.01, **more: Any) -> Case:
-    return bench.build(PLANT, seed, truth, noise=noise, **more)
+build = partial(bench.build, PLANT)

@@ -6,6 +6,7 @@ Force in N, position in m. m, c and k within 15 % of the nominal ones. With a li
 one at the reading. A gain of sensor or force is none of its own: m, c and k take it up.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -13,11 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records.record import Channel
 
 from . import bench
-from .bench import Numbers, Plant
-from .case import Case, Catalogue
+from .bench import Numbers
+from .case import Catalogue
 from .draws import Quantile, either_sign, uniform
 from .signals import Wave, low_pass, random_steps, standard
 
@@ -88,25 +88,17 @@ def _shape(rng: np.random.Generator, n: int) -> Wave:
     return standard(low_pass(random_steps(rng, n, 5, 30), 4.0))
 
 
-PLANT = Plant(
+PLANT = bench.driven_body(
     "duffing",
     CATALOGUE,
     NOMINAL,
-    0.15,
     _slope,
-    _draw,
-    _shape,
+    draw=_draw,
+    shape=_shape,
     start=lambda rng: rng.normal(0, [0.2, 0.3]).tolist(),
-    inputs=(Channel("force", "N"),),
-    outputs=(Channel("position", "m"),),
-    measured=(0,),
     dt=_DT,
     samples=800,
     size=1.5,
     reach=1.2,
-    speed=1,
 )
-
-
-def build(seed: int, truth: tuple[str, ...] = (), *, noise: float = 0.005, **more: Any) -> Case:
-    return bench.build(PLANT, seed, truth, noise=noise, **more)
+build = partial(bench.build, PLANT)

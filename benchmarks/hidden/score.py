@@ -59,7 +59,7 @@ def scores(rows: Sequence[Row]) -> Table:
 
 
 def _right_model(row: Row) -> bool:
-    """Nothing named where nothing is missing is the right model, whatever is said of the noise."""
+    """Where nothing is missing, any verdict without a name: `unexplained` is about the noise."""
     if row["kind"] == "none":
         return not row["names"]
     return row["right"] and row["kind"] != "removed"

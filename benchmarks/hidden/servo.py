@@ -7,6 +7,7 @@ along smooth steps. Nothing holds the position, so an offset of its sensor shows
 Source of the numbers: Janot, Gautier, Brunot, Data set and reference models of EMPS, 2019.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,11 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records.record import Channel
 
 from . import bench
-from .bench import Numbers, Plant
-from .case import Case, Catalogue
+from .bench import Numbers
+from .case import Catalogue
 from .draws import Quantile, either_sign, uniform
 from .signals import Wave, low_pass, random_steps
 
@@ -87,25 +87,17 @@ def _shape(rng: np.random.Generator, n: int) -> Wave:
     return force / force.std()
 
 
-PLANT = Plant(
+PLANT = bench.driven_body(
     "servo",
     CATALOGUE,
     NOMINAL,
-    0.15,
     _slope,
-    _draw,
-    _shape,
+    draw=_draw,
+    shape=_shape,
     start=lambda rng: rng.normal(0, [0.05, 0.02]).tolist(),
-    inputs=(Channel("force", "N"),),
-    outputs=(Channel("position", "m"),),
-    measured=(0,),
     dt=_DT,
     samples=1000,
     size=60.0,
     reach=0.25,
-    speed=1,
 )
-
-
-def build(seed: int, truth: tuple[str, ...] = (), *, noise: float = 0.001, **more: Any) -> Case:
-    return bench.build(PLANT, seed, truth, noise=noise, **more)
+build = partial(bench.build, PLANT)

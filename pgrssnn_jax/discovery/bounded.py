@@ -2,7 +2,7 @@
 
     minimise ½ δᵀ N δ - gᵀ δ    with    low <= δ <= high
 
-Numbers that would leave their bounds are held there, one after another, the one that costs most first.
+Numbers that would leave their bounds are held there, one after another, in the order of their cost.
 """
 
 import numpy as np

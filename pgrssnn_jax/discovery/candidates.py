@@ -1,7 +1,7 @@
 """One screening of the whole catalogue beside a model: every effect fitted roughly from each of its starting values,
-the best of them to the end, and the distribution of the best gain by luck alone."""
+the best of them to the end, and the null distribution of the largest gain."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,9 +64,9 @@ class Candidate(NamedTuple):
 
 
 class Screening(NamedTuple):
-    """Candidates beside `base`, from best to worst; null: of the best by luck; visible: energy by which each
-    effect at its starts moves the free run, and what of it nothing else can take up; size: measured samples; noise:
-    variance of the white part of the errors, in weighted errors."""
+    """Candidates beside `base`, from best to worst; null: distribution of the largest gain; visible: energy by
+    which each effect at its starts moves the free run, and the part of it that nothing else can take up; size: measured
+    samples; noise: variance of the white part of the errors, in weighted errors."""
 
     base: Model
     candidates: tuple[Candidate, ...]
@@ -107,33 +107,37 @@ def score_candidates(
     at, _ = linearisation(problem, signals, here, run)
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
     cost = base.estimate.cost + problem.penalty(here.theta)
-    size = max(1, int((signals.weight > 0).sum()))
+
+    def gain(low: float) -> float:
+        return float(nats(1.0 - low / cost, signals.size))
+
     rough = fit_all(problem, signals, guesses, settings.roughly)
     rough = sorted(((g, low) for g, low in rough if np.isfinite(low)), key=lambda found: found[1])
-    gains = {guess.active[-1]: float(nats(1.0 - low / cost, size)) for guess, low in reversed(rough)}
-    null = _null(problem, signals, (at, named), rough[0][0] if rough else None, gains, settings, criteria, rng)
-    hopeful = any(null.p_value(name, gain) <= criteria.hopeless for name, gain in gains.items())
-    finalists = _finalists(rough, criteria.finalists) if hopeful else []
-    best = _best_of_each(fit_all(problem, signals, finalists, settings.roughly))
-    models = _models(problem, signals, best, settings, criteria)
-    fitted = {model.estimate.active[-1]: model for model in models}
-    reached = {guess.active[-1]: (guess, low) for guess, low in (*_best_of_each(rough), *best)}
-    leading = sorted(models, key=lambda model: -model.score)[:_TO_THE_END]
-    ends = fit_all(problem, signals, [model.estimate.guess for model in leading], settings)
-    for (guess, low), model in zip(ends, _models(problem, signals, ends, settings, criteria), strict=True):
-        fitted[guess.active[-1]], reached[guess.active[-1]] = model, (guess, low)
-    found = [
-        Candidate(name, float(nats(1.0 - low / cost, size)), guess, fitted.get(name))
-        for name, (guess, low) in reached.items()
-    ]
+    few = [Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough)]
+    null = _null(problem, signals, (at, named), few[0] if few else None, settings, criteria, rng)
+    hopeful = any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
+    fitted = _fitted(problem, signals, _finalists(rough, criteria.finalists), settings, criteria) if hopeful else []
+    found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]
+    found += [c for c in few if c.name not in {other.name for other in found}]
     found.sort(key=lambda c: (-c.score, -c.gain))
-    return Screening(base, tuple(found), null, visible(at, named), *size_and_noise(signals, [base, *fitted.values()]))
+    noise = white_noise(signals, [base, *(model for model, _ in fitted)])
+    return Screening(base, tuple(found), null, visible(at, named), signals.size, noise)
 
 
-def _models(
-    problem: Problem, signals: Signals, fitted: Sequence[tuple[Guess, float]], settings: Settings, criteria: Criteria
-) -> list[Model]:
-    return fitted_models(problem, signals, [guess for guess, _ in fitted], settings, criteria.block)
+def _fitted(
+    problem: Problem, signals: Signals, finalists: Sequence[Guess], settings: Settings, criteria: Criteria
+) -> list[tuple[Model, float]]:
+    """Models of the finalists and their costs: those with the best scores at their optimum, the others after a few
+    steps."""
+
+    def scored(fits: Sequence[tuple[Guess, float]]) -> list[tuple[Model, float]]:
+        models = fitted_models(problem, signals, [guess for guess, _ in fits], settings, criteria.block)
+        return list(zip(models, (low for _, low in fits), strict=True))
+
+    few = scored(_best_of_each(fit_all(problem, signals, finalists, settings.roughly)))
+    few.sort(key=lambda one: -one[0].score)
+    leading = [model.estimate.guess for model, _ in few[:_TO_THE_END]]
+    return scored(fit_all(problem, signals, leading, settings)) + few[_TO_THE_END:]
 
 
 def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Settings, criteria: Criteria) -> Model:
@@ -149,8 +153,7 @@ def _null(
     problem: Problem,
     signals: Signals,
     base: tuple[Linearisation, Sequence[tuple[str, Float[np.ndarray, "n _"]]]],
-    best: Guess | None,
-    gains: Mapping[str, float],
+    best: Candidate | None,
     settings: Settings,
     criteria: Criteria,
     rng: np.random.Generator,
@@ -160,19 +163,17 @@ def _null(
     at, named = base
     least = int(np.ceil(1.0 / criteria.p_value))
     null = null_distribution(at, noise_of(at), named, criteria.draws, least, rng)
-    name = best.active[-1] if best else ""
-    if best is None or null.p_value(name, gains[name]) <= criteria.p_value:
+    if best is None or null.p_value(best.name, best.gain) <= criteria.p_value:
         return null
-    (run,) = runs(problem, signals, [best], settings)
-    left = noise_of(linearisation(problem, signals, best, run)[0])
+    (run,) = runs(problem, signals, [best.guess], settings)
+    left = noise_of(linearisation(problem, signals, best.guess, run)[0])
     other = null_distribution(at, left, named, criteria.draws, least, rng)
-    return min(null, other, key=lambda one: one.p_value(name, gains[name]))
+    return min(null, other, key=lambda one: one.p_value(best.name, best.gain))
 
 
-def size_and_noise(signals: Signals, tried: Sequence[Model]) -> tuple[int, float]:
-    """Measured samples, and the variance of the white noise that the best of some models leaves."""
-    size = max(1, int((signals.weight > 0).sum()))
-    return size, min(noise_floor(model.estimate.error, signals.weight) for model in tried) / size
+def white_noise(signals: Signals, tried: Sequence[Model]) -> float:
+    """Variance of the white noise that the best of some models leaves."""
+    return min(noise_floor(model.estimate.error, signals.weight) for model in tried) / signals.size
 
 
 def fitted_models(

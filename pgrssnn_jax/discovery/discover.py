@@ -168,7 +168,7 @@ def _as_known(problem: Problem, how: Scoring, begun: Guess, chosen: DiscoverySet
     if chosen.tolerance is None or how.segmented:
         return lambda same: same
     tolerance, record = chosen.tolerance, how.signals(problem, 0)
-    noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / max(1, int((record.weight > 0).sum()))
+    noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / record.size
     return lambda other: other.held(tolerance, noise)
 
 

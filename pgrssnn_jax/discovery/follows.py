@@ -18,7 +18,6 @@ from pgrssnn_jax.discovery.flexible import nearness
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.settings import Criteria
 
 _SAMPLES = (0, 4, 16, 64)  # time constants of the filters, 0: none
 _RIDGE = 1e-2  # per sample, of features with unit variance
@@ -30,9 +29,6 @@ class Follows(NamedTuple):
 
     share: float
     p_value: float
-
-    def clearly(self, criteria: Criteria) -> bool:
-        return self.share >= criteria.follows and self.p_value <= criteria.p_value
 
 
 def errors_follow(problem: Problem, signals: Signals, estimate: Estimate, rng: np.random.Generator) -> Follows:

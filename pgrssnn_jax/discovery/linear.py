@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.bounded import scaled_step, step_within
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, size_and_noise
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, white_noise
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
 from pgrssnn_jax.discovery.noise import surrogates
@@ -73,7 +73,7 @@ def score_linearised(
     own = own[np.isfinite(guess.theta[own])]
     reference = known or segment_model(problem, signals, guess, own, whole)
     noise = surrogates(reference.estimate.error, min(criteria.draws, DRAWS), rng).astype(np.float32)
-    size, _ = size_and_noise(signals, [reference])
+    size = signals.size
     cost, promises, falls = _promised(problem, signals, guess, own, without, noise)
     null = null_of({name: nats(fall, size) for name, fall in falls.items()})
     promises = [c._replace(gain=float(nats(c.gain, size))) for c in promises]
@@ -93,7 +93,7 @@ def score_linearised(
             found.append(Candidate(name, float(nats(1.0 - reached / cost, size)), fitted, model))
     ordered = tuple(sorted(found, key=lambda c: (-c.score, -c.gain)))
     tried = [reference, *(c.model for c in ordered if c.model)]
-    return Screening(reference, ordered, null, {}, *size_and_noise(signals, tried))
+    return Screening(reference, ordered, null, {}, size, white_noise(signals, tried))
 
 
 def _promised(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, size_and_noise
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, white_noise
 from pgrssnn_jax.discovery.corrected import Corrected, numbers_of
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.flexible import families
@@ -56,7 +56,7 @@ def score_corrections(
         at, noise_of(at), list(columns.items()), criteria.draws, int(np.ceil(1.0 / criteria.p_value)), rng
     )
     falls = _falls(at, list(columns.values()))
-    size = max(1, int((signals.weight > 0).sum()))
+    size = signals.size
     promised = {name: float(nats(fall, size)) for name, fall in zip(columns, falls, strict=True)}
     closed = {name: _CURVED * _closed(base, size, fall) for name, fall in zip(columns, falls, strict=True)}
     ranked = sorted(promised, key=lambda name: -promised[name])
@@ -65,7 +65,7 @@ def score_corrections(
     rest = [Candidate(name, promised[name], guess) for name in ranked if name not in hopeful[:FINALISTS]]
     found = sorted([*fitted, *rest], key=lambda c: (-c.score, -c.gain))
     models = [c.model for c in fitted if c.model]
-    return Screening(base, tuple(found), null, {}, *size_and_noise(signals, [base, *models]))
+    return Screening(base, tuple(found), null, {}, size, white_noise(signals, [base, *models]))
 
 
 def _weighted(signals: Signals, response: Response) -> Float[np.ndarray, "n k"]:
@@ -103,5 +103,5 @@ def _fitted(corrections: Corrections, base: Model, name: str, response: Response
     ((guess, cost),) = fit_all(problem, signals, [start], few)
     (model,) = fitted_models(problem, signals, [guess], few, block)
     before = base.estimate.cost + corrections.problem.penalty(base.estimate.theta)
-    gain = nats(1.0 - cost / before, max(1, int((signals.weight > 0).sum())))
+    gain = nats(1.0 - cost / before, signals.size)
     return Candidate(name, float(gain), guess, model)

@@ -133,6 +133,11 @@ class Signals(NamedTuple):
     start: Float[np.ndarray, "seq x"]
     precision: Float[np.ndarray, "seq x"]
 
+    @property
+    def size(self) -> int:
+        """Measured samples, at least 1."""
+        return max(1, int((self.weight > 0).sum()))
+
 
 def build_problem(
     physics: Physics, effects: Sequence[Effect], *, fixed: Sequence[str] = (), accelerate: bool = True

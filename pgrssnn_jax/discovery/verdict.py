@@ -113,14 +113,13 @@ def _surely_better(one: Model, other: Model, criteria: Criteria) -> bool:
 
 
 def _dependent(selection: Selection, nameless: Nameless, criteria: Criteria) -> bool:
-    """Errors clearly above the noise that names hardly lower, and that follow the signals by whatever law."""
-    if nameless.follows is None:
+    """Errors clearly above the noise that names hardly lower, and that follow the signals by some law."""
+    follows = nameless.follows
+    if follows is None or follows.share < criteria.follows or follows.p_value > criteria.p_value:
         return False
     closed = selection.first.rms() - selection.last.rms()
-    explained = bool(selection.final.estimate.active) and closed >= _EXPLAINED * (
-        selection.first.rms() - selection.floor
-    )
-    return nameless.follows.clearly(criteria) and not explained
+    gap = selection.first.rms() - selection.floor
+    return not (selection.final.estimate.active and closed >= _EXPLAINED * gap)
 
 
 def _alternatives(problem: Problem, screening: Screening, name: str, criteria: Criteria) -> tuple[Candidate, ...]:
