@@ -23,7 +23,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
 from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring, scoring
-from pgrssnn_jax.discovery.select import Selection, select
+from pgrssnn_jax.discovery.select import Selection, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
@@ -125,8 +125,8 @@ def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], second
         problem = known(problem)
     with _timed(seconds, "name"):
         criteria = chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
-        selection = select(problem, begun, criteria, notify, how.screen(problem, chosen.without, criteria))
-        selection = how.finish(problem, selection)
+        screened = remembered(how.screen(problem, chosen.without, criteria), notify)
+        selection = how.finish(problem, select(problem, begun, criteria, screened))
     return Named(problem, how, known, nominal, selection)
 
 

@@ -4,7 +4,7 @@ Forward: of the candidates that beat the null, predict left-out blocks better an
 the best score enters. Backward: every effect in turn is taken out; what does best in its place comes in, or nothing.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers
@@ -33,19 +33,29 @@ class Selection(NamedTuple):
         return self.noise**0.5
 
 
+Screened = Callable[[Guess | Model], Screening]
+
+
+class Chosen(NamedTuple):
+    """A model with the p-value with which each of its effects came in last. Their sum bounds the probability that any
+    of them is luck."""
+
+    model: Model
+    p_values: Mapping[str, float]
+
+
 class Judge(NamedTuple):
-    """When a candidate counts. gap: RMS error of the recalibrated physics above that of the white noise; spent: p-value
-    with which each effect came in last; their sum bounds the probability that any of them is luck."""
+    """When a candidate counts. gap: RMS error of the recalibrated physics above that of the white noise."""
 
     problem: Problem
     criteria: Criteria
     gap: float
     noise: float
-    spent: dict[str, float]
 
-    def counts(self, screening: Screening, candidate: Candidate) -> bool:
-        """Its gain is not luck; it closes its share of the gap and predicts left-out blocks better by more than a
-        standard error, or it closes most of what others leave and predicts them better with certainty."""
+    def counts(self, screening: Screening, candidate: Candidate, p_values: Mapping[str, float]) -> bool:
+        """Its gain is significant; it closes its share of the gap and predicts left-out blocks better by more than a
+        standard error, or it closes most of the rest and predicts them better with certainty. p_values: of the effects
+        of the base."""
         if candidate.model is None or screening.redundant(candidate.name):
             return False
         better, error = candidate.model.better_than(screening.base)
@@ -59,12 +69,12 @@ class Judge(NamedTuple):
         p_value, others = screening.p_value(candidate), screening.base.estimate.active
         if not others or not share:
             return p_value <= self.criteria.p_value
-        return p_value + sum(self.spent.get(name, 0.0) for name in others) <= self.criteria.further
+        return p_value + sum(p_values.get(name, 0.0) for name in others) <= self.criteria.further
 
-    def best(self, screening: Screening) -> Candidate | None:
+    def best(self, screening: Screening, p_values: Mapping[str, float]) -> Candidate | None:
         """Of the candidates that count the one with the best score, or a simpler one within a standard error of it.
         Source of the rule: Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2009, section 7.10."""
-        passing = [c for c in screening.candidates if self.counts(screening, c)]
+        passing = [c for c in screening.candidates if self.counts(screening, c, p_values)]
         if not passing:
             return None
         best = passing[0]
@@ -88,15 +98,8 @@ def _as_good(one: Candidate, best: Candidate) -> bool:
     return worse <= error
 
 
-def select(
-    problem: Problem,
-    start: Guess,
-    criteria: Criteria,
-    notify: Callable[[str], None],
-    screen: Callable[[Guess | Model], Screening],
-) -> Selection:
-    """From a recalibrated guess without effects to the model that explains the record. screen: the scores of the whole
-    catalogue beside a model."""
+def remembered(screen: Screened, notify: Callable[[str], None]) -> Screened:
+    """The scores of the whole catalogue beside a model; each is made once."""
     known: dict[tuple[str, ...], Screening] = {}
 
     def screened(base: Guess | Model) -> Screening:
@@ -110,27 +113,33 @@ def select(
             )
         return known[key]
 
+    return screened
+
+
+def select(problem: Problem, start: Guess, criteria: Criteria, screened: Screened) -> Selection:
+    """From a recalibrated guess without effects to the model that explains the record."""
     first = screened(start)
-    noise = first.noise**0.5
-    if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
-        judge = Judge(problem, criteria, first.rms(), float("inf"), {})
-    else:
-        judge = Judge(problem, criteria, max(first.rms() - noise, 0.0), noise, {})
-    model = _settled(judge, screened, first.base)
+    judge = _judge(problem, criteria, first)
+    model = _settled(judge, screened, Chosen(first.base, {})).model
     for other in _other_beginnings(criteria, first, model):
-        found = _settled(judge, screened, other)
-        if found.better_than(model)[0] > found.better_than(model)[1]:
-            model = found
+        found = _settled(judge, screened, other).model
+        better, error = found.better_than(model)
+        model = found if better > error else model
     last, screenings = _judged(problem, screened, model)
     if screenings and min(_p_value(one, name) for name, one in screenings.items()) > criteria.p_value:
-        alone = judge.best(first)  # none is certain beside the others
+        alone = judge.best(first, {})  # none is certain beside the others
         last, screenings = _judged(problem, screened, alone.model if alone and alone.model else first.base)
     return Selection(first.base, last.base, screenings, first, last, min(first.noise, last.noise))
 
 
-def _judged(
-    problem: Problem, screened: Callable[[Guess | Model], Screening], model: Model
-) -> tuple[Screening, dict[str, Screening]]:
+def _judge(problem: Problem, criteria: Criteria, first: Screening) -> Judge:
+    if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
+        return Judge(problem, criteria, first.rms(), float("inf"))
+    noise = first.noise**0.5
+    return Judge(problem, criteria, max(first.rms() - noise, 0.0), noise)
+
+
+def _judged(problem: Problem, screened: Screened, model: Model) -> tuple[Screening, dict[str, Screening]]:
     """The screening beside a model, and those without each of its effects."""
     last = screened(model)
     names = model.estimate.active
@@ -141,41 +150,47 @@ def _p_value(screening: Screening, name: str) -> float:
     return next(screening.p_value(c) for c in screening.candidates if c.name == name)
 
 
-def _settled(judge: Judge, screened: Callable[[Guess | Model], Screening], model: Model) -> Model:
+def _settled(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
     """Forward steps and exchanges until nothing changes."""
     for _ in range(_ROUNDS):
-        before = set(model.estimate.active)
-        while len(model.estimate.active) < judge.criteria.most:
-            screening = screened(model)
-            best = judge.best(screening)
-            if best is None or best.model is None:
-                break
-            judge.spent[best.name] = screening.p_value(best)
-            model = best.model
-        model = _pruned(judge, screened, model)
-        if set(model.estimate.active) == before or not model.estimate.active:
+        before = set(chosen.model.estimate.active)
+        chosen = _pruned(judge, screened, _forward(judge, screened, chosen))
+        if set(chosen.model.estimate.active) == before or not chosen.model.estimate.active:
             break
-    return model
+    return chosen
 
 
-def _pruned(judge: Judge, screened: Callable[[Guess | Model], Screening], model: Model) -> Model:
+def _forward(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
+    while len(chosen.model.estimate.active) < judge.criteria.most:
+        screening = screened(chosen.model)
+        best = judge.best(screening, chosen.p_values)
+        if best is None or best.model is None:
+            break
+        chosen = Chosen(best.model, {**chosen.p_values, best.name: screening.p_value(best)})
+    return chosen
+
+
+def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
     """Every effect in turn, the first that came in first: what is best in its place, if anything?"""
+    model, p_values = chosen
     for name in model.estimate.active:
         if name not in model.estimate.active:
             continue  # it left with another one
         smaller = _with_known(screened(without(judge.problem, model, name)), screened(model))
-        best = judge.best(smaller)
-        if best is not None:
-            judge.spent[best.name] = smaller.p_value(best)
-        model = smaller.base if best is None or best.model is None else best.model
-    return model
+        best = judge.best(smaller, p_values)
+        if best is None or best.model is None:
+            model = smaller.base
+        else:
+            model, p_values = best.model, {**p_values, best.name: smaller.p_value(best)}
+    return Chosen(model, p_values)
 
 
-def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Sequence[Model]:
+def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Sequence[Chosen]:
     """The effect that does best alone may be none of two that only do well together."""
     left = first.rms(model) > criteria.above * first.noise**0.5
     possible = [c for c in first.candidates if c.model and first.p_value(c) <= criteria.further]
-    others = [c.model for c in possible if c.model and c.name not in model.estimate.active]
+    names = model.estimate.active
+    others = [Chosen(c.model, {c.name: first.p_value(c)}) for c in possible if c.model and c.name not in names]
     return others[: criteria.beam] if left else []
 
 

@@ -10,7 +10,7 @@ from discovery.by_hand import LIKELY, NOISE, model, neutral, screening
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.select import Judge, _with_known, select
+from pgrssnn_jax.discovery.select import Judge, _with_known, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
@@ -50,7 +50,8 @@ def found(problem: Problem, energies: Mapping[str, float], p_value: Mapping[str,
         models = {name: model(problem, energy((*active, name)), (*active, name)) for name in others}
         return screening(own, models, {k: p for k, p in chances.items() if k in models}, **seen)
 
-    selection = select(problem, neutral(problem), Criteria(), lambda line: None, screen)
+    screened = remembered(screen, lambda line: None)
+    selection = select(problem, neutral(problem), Criteria(), screened)
     assert set(selection.screenings) == set(selection.final.estimate.active)
     return " ".join(k for k, name in letters.items() if name in selection.final.estimate.active)
 
@@ -106,7 +107,7 @@ def test_an_effect_that_closes_the_rest_must_predict_better_with_certainty(tanks
     """From 1.1 to 1.0 times the noise, where the physics alone has 20 times; errors in another order say less."""
     base = model(tanks, 1.21, (LEAN,))
     candidates = screening(base, {RICH: model(tanks, 1.0, (LEAN, RICH), error)})
-    assert (Judge(tanks, Criteria(), gap=19.0, noise=1.0, spent={}).best(candidates) is not None) == enters
+    assert (Judge(tanks, Criteria(), gap=19.0, noise=1.0).best(candidates, {}) is not None) == enters
 
 
 def test_what_the_parameters_can_do_exactly_is_no_effect(problem):
@@ -119,7 +120,7 @@ def chosen(tanks: Problem, rich: np.ndarray, lean: np.ndarray) -> str:
     """Which of two enters, from its errors; the physics alone has ten times the noise."""
     base = model(tanks, 100.0)
     models = {name: model(tanks, 1.0, (name,), error) for name, error in ((RICH, rich), (LEAN, lean))}
-    best = Judge(tanks, Criteria(), gap=9.0, noise=1.0, spent={}).best(screening(base, models))
+    best = Judge(tanks, Criteria(), gap=9.0, noise=1.0).best(screening(base, models), {})
     assert best is not None
     return best.name
 
