@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.estimate import Guess, evaluate
+from pgrssnn_jax.discovery.identify import Combination, Departure, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import noise_floor
@@ -57,6 +58,8 @@ class Discovery(NamedTuple):
     formula: Formula | None
     location: Location
     convention: str | None
+    departures: list[Departure]
+    undetermined: list[Combination]
     train: Validations
     test: Validations
     seconds: dict[str, float]
@@ -102,15 +105,31 @@ def discover_in(
             convention = reading_convention(problem, selection.final)
             judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
             told = _told(corrections, how, selection, judgement)
+        with _timed(seconds, "numbers"):
+            tolerance, block = chosen.tolerance, chosen.criteria.block
+            numbers = final_numbers(problem, how, selection, tolerance, block)
+            selection = selection._replace(recalibrated=numbers.recalibrated, final=numbers.final)
         with _timed(seconds, "prove"):
             guesses = (nominal, selection.recalibrated.estimate.guess, selection.final.estimate.guess)
             whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
             train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
-            without = {name: one.base.estimate.guess for name, one in selection.screenings.items()}
-            test = validations_on_test(problem, setup, guesses, without, how.settings)
+            test = validations_on_test(problem, setup, guesses, numbers.without, how.settings)
             judgement = confirmed(judgement, test.improvement, test.relative)
     return Discovery(
-        problem, how.uncut, whole, selection, nameless, judgement, told, location, convention, train, test, seconds
+        problem=problem,
+        signals=how.uncut,
+        estimation=whole,
+        selection=selection,
+        nameless=nameless,
+        judgement=judgement,
+        formula=told,
+        location=location,
+        convention=convention,
+        departures=numbers.departures,
+        undetermined=numbers.undetermined,
+        train=train,
+        test=test,
+        seconds=seconds,
     )
 
 

@@ -14,8 +14,23 @@ def sentence(
     gap: Mapping[str, Any],
     effects: Sequence[Mapping[str, Any]],
     alternatives: Sequence[Mapping[str, Any]],
+    departures: Sequence[Mapping[str, Any]],
+    remaining: str,
 ) -> str:
-    """gap, effects, alternatives: as in `discovery.json`."""
+    """gap, effects, alternatives, departures: as in `discovery.json`; remaining: where the errors are that are left."""
+    said = _verdict(found, gap, effects, alternatives)
+    if found.judgement.verdict not in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED):
+        said += f" Remaining errors: {remaining}."
+    moved = [f"{one['parameter']} {one['change']:+.0%} ({one['after']:.3g} {one['unit']})" for one in departures]
+    return f"{said} Outside the prior of the physics: {', '.join(moved)}." if moved else said
+
+
+def _verdict(
+    found: Discovery,
+    gap: Mapping[str, Any],
+    effects: Sequence[Mapping[str, Any]],
+    alternatives: Sequence[Mapping[str, Any]],
+) -> str:
     unit = f" {gap['unit']}" if gap["unit"] else ""
     before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
     verdict = found.judgement.verdict

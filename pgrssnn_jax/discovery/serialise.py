@@ -9,21 +9,19 @@ from jaxtyping import Float
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import (
-    at_bound,
     closed_on_test,
     finding,
     floor,
-    interval,
     when,
     within_record,
 )
-from pgrssnn_jax.discovery.locate import box, clear, signal_map
+from pgrssnn_jax.discovery.locate import Box, box, clear, signal_map
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.sentence import sentence
+from pgrssnn_jax.discovery.serialise_numbers import departures, initial_state, numbers, parameters, recalibration
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
-from pgrssnn_jax.effects.base import add, effects_of, own_of
-from pgrssnn_jax.effects.stored import physics_to_json, plain
+from pgrssnn_jax.effects.stored import physics_to_json
 
 
 def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str, Any]:
@@ -43,7 +41,9 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
             "timing": "before_step" if found.convention else problem.physics.output_timing,
         },
         "verdict": str(verdict),
-        "sentence": sentence(found, _gap(found), effects, _alternatives(found)),
+        "sentence": sentence(
+            found, _gap(found), effects, _alternatives(found), departures(found), remaining(found)["rule"]
+        ),
         "effects": effects,
         "alternatives": _alternatives(found),
         "untestable": untestable(found),
@@ -51,8 +51,11 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
         "spectrum": _spectrum(found, setup),
         "follows": found.nameless.follows._asdict() if found.nameless.follows else None,
         "disagreement": disagreement(found),
-        "recalibration": _recalibration(found),
-        "parameters": _parameters(found),
+        "remaining": remaining(found),
+        "recalibration": recalibration(found),
+        "parameters": parameters(found),
+        "departures": departures(found),
+        "undetermined": [one._asdict() for one in found.undetermined],
         "gap": _gap(found),
         "ranking": _ranking(found),
         "network": None,
@@ -65,8 +68,8 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
         "outputs": [{"name": s.name, "unit": s.unit} for s in problem.physics.outputs],
         "states": [{"name": s.name, "unit": s.unit} for s in problem.physics.states],
         "physics": physics_to_json(setup.physics)["physics"],
-        "numbers": _numbers(found),
-        "initial_state": _initial_state(found) if setup.start is Start.SHARED else None,
+        "numbers": numbers(found),
+        "initial_state": initial_state(found) if setup.start is Start.SHARED else None,
     }
 
 
@@ -74,38 +77,6 @@ def _by_gain(found: Discovery) -> list[str]:
     """Names of the effects, the one without which most would be left unexplained first."""
     screenings = found.selection.screenings
     return sorted(found.selection.final.estimate.active, key=lambda name: screenings[name].base.score)
-
-
-def _parameters(found: Discovery) -> dict[str, Any]:
-    final = found.selection.final
-    std, theta = final.deviation, final.estimate.theta
-    free = [i for name in (None, *found.selection.final.estimate.active) for i in found.problem.of(name)]
-    slots, low, high = found.problem.slots, found.problem.low, found.problem.high
-    return {
-        slots[i].label: {
-            "value": float(theta[i]),
-            "std": float(std[i]),
-            "interval": interval(theta[i], std[i], final.freedom),
-            "unit": slots[i].meaning.unit,
-            "at_bound": bool(at_bound(theta[i], (float(low[i]), float(high[i])), slots[i].meaning.neutral)),
-        }
-        for i in free
-    }
-
-
-def _recalibration(found: Discovery) -> dict[str, Any]:
-    problem, recalibrated = found.problem, found.selection.recalibrated
-    after, std = recalibrated.estimate.theta, recalibrated.deviation
-    return {
-        problem.slots[i].label: {
-            "before": float(problem.theta[i]),
-            "after": float(after[i]),
-            "std": float(std[i]),
-            "interval": interval(after[i], std[i], recalibrated.freedom),
-            "unit": problem.slots[i].meaning.unit,
-        }
-        for i in problem.of(None)
-    }
 
 
 def _gap(found: Discovery) -> dict[str, Any]:
@@ -211,10 +182,7 @@ def disagreement(found: Discovery) -> list[dict[str, Any]]:
         said.append(
             {
                 "equation": physics.states[i].name,
-                "region": {name: [_finite(edge) for edge in edges] for name, edges in where.region.items()},
-                "rule": where.rule,
-                "share_of_error": where.share_of_error,
-                "share_of_samples": where.share_of_samples,
+                **_boxed(where),
                 **when(acting, physics.dt),
                 "log_likelihood": float(correction.likelihood[i]),
             }
@@ -222,27 +190,23 @@ def disagreement(found: Discovery) -> list[dict[str, Any]]:
     return said
 
 
+def remaining(found: Discovery) -> dict[str, Any]:
+    """Where the errors are that the final model leaves."""
+    within = within_record(found.signals)
+    physics, signals = found.problem.physics, found.signals
+    error = np.where(signals.weight > 0, signals.weight * (signals.y - found.train.after.y), 0.0)
+    values = np.concatenate([found.train.after.x[..., : len(physics.states)], signals.u], -1)
+    energy = np.nan_to_num(error**2).sum(-1)
+    return _boxed(box(energy[within], values[within], (*physics.states, *physics.inputs)))
+
+
+def _boxed(where: Box) -> dict[str, Any]:
+    region = {name: [_finite(edge) for edge in edges] for name, edges in where.region.items()}
+    return {**where._asdict(), "region": region}
+
+
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _numbers(found: Discovery) -> dict[str, Any]:
-    """Parameters of the physics and of every effect, for `physics.effects=FILE`; infinite limits as null."""
-    theta = found.selection.final.estimate.theta
-    params, known = found.problem.params(theta), found.problem.known(theta)
-    active, there = found.selection.final.estimate.active, effects_of(known)
-    order = [*there, *(effect.name for effect in found.problem.effects if effect.name in active)]
-    own = {name: own_of(known)[name] for name in own_of(found.problem.physics.params)}
-    effects = {name: effects_of(params)[name] for name in order}
-    return {"parameters": plain(own), "effects": plain(effects), "order": order}
-
-
-def _initial_state(found: Discovery) -> dict[str, float]:
-    """Of the physics, and of what the effects found remember."""
-    problem, final = found.problem, found.selection.final.estimate
-    states = add(problem.physics, *map(problem.effect, final.active)).states
-    begun = dict(zip((state.name for state in problem.full.states), final.x0[0], strict=True))
-    return {state.name: float(begun[state.name]) for state in states}
 
 
 def discovery_arrays(found: Discovery, setup: Setup) -> dict[str, Any]:

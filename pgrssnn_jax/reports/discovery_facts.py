@@ -154,6 +154,20 @@ def shifts(discovery: Discovery) -> list[Shift]:
     return sorted(rows, key=lambda row: -math.inf if math.isnan(row.size) else row.size, reverse=True)
 
 
+def remarks(discovery: Discovery) -> list[str]:
+    """Numbers at their bounds, outside their prior, and combinations that the data do not determine."""
+    at_bound = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
+    said = [f"At their bounds, beyond which the fit may want to go: {', '.join(at_bound)}."] if at_bound else []
+    departed = [row["parameter"] for row in discovery.get("departures") or ()]
+    said += [f"Outside their prior (95 %): {', '.join(departed)}."] if departed else []
+    for row in discovery.get("undetermined") or ():
+        together = ", ".join(f"{name} {change:+.0%}" for name, change in row["changes"].items())
+        said.append(
+            f"The data say less than the prior about {together}{' together' if len(row['changes']) > 1 else ''}."
+        )
+    return said
+
+
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs."""
     rows = []

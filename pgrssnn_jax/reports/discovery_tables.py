@@ -94,9 +94,8 @@ def shift_table(discovery: Discovery) -> Table:
         fits = plus_minus(row.recalibrated, row.recalibrated_std), plus_minus(row.final, row.final_std)
         rows.append([row.name, rounded(row.before), *fits, row.unit or MISSING, percent(row.size)])
     header = ("number", "before", "refitted ± std", "final ± std", "unit", "shift")
-    at_bound = [name for name, row in (discovery.get("parameters") or {}).items() if row.get("at_bound")]
-    bounds = [f"At their bounds, beyond which the fit may want to go: {', '.join(at_bound)}."] if at_bound else []
-    return _table("The numbers of the physics, largest shift first", header, rows)._replace(footer=bounds)
+    table = _table("The numbers of the physics, largest shift first", header, rows)
+    return table._replace(footer=facts.remarks(discovery))
 
 
 def number_tables(discovery: Discovery) -> list[Table]:

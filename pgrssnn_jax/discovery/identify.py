@@ -1,0 +1,127 @@
+"""The final numbers of the physics, and which of them the data determine.
+
+    minimise  Σ e² + σ² Σ_i ((θ_i - given_i) / s_i)²        σ² = Σ e² / n of the same model,  s: prior
+
+The search weighs the prior against the white noise alone: the parameters are to take up whatever they can before an
+effect is named. Where errors stay above that noise, the same weight would let a number go far from the nominal one for
+a fall of the errors that says little. The final numbers therefore weigh the prior against the errors that are left,
+which is the likeliest model where their variance is unknown.
+
+    C v = λ S v,  S = diag(s²)        C: covariance of the estimate
+
+λ is the part of the prior's variance that is left along v; near 1 the data say nothing about that combination.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from pgrssnn_jax.discovery import likelihood
+from pgrssnn_jax.discovery.candidates import Model, fitted_models
+from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
+from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.scoring import Scoring
+from pgrssnn_jax.discovery.select import Selection
+
+_ROUNDS = 4  # σ² and the numbers in turn, at most
+_SAME = 0.05  # relative change of σ²: below, the numbers move by less than a twentieth of their deviation
+_BEYOND = 1.96  # standard deviations of the prior: 95 %
+_LEFT = 0.5  # part of the prior's variance, above which the prior says more than the data
+_PART = 0.1  # of the largest entry: smaller ones of a combination are left out
+
+
+class Departure(NamedTuple):
+    """A number of the physics that the data take out of its prior. place: in θ; prior: its 95 % interval."""
+
+    place: int
+    before: float
+    after: float
+    prior: tuple[float, float]
+
+
+class Combination(NamedTuple):
+    """changes: relative, of parameters by label, which the data hardly see together; left: part of the prior's
+    variance."""
+
+    changes: dict[str, float]
+    left: float
+
+
+class Numbers(NamedTuple):
+    """Of a selection. without: of the models without each effect."""
+
+    recalibrated: Model
+    final: Model
+    without: dict[str, Guess]
+    departures: list[Departure]
+    undetermined: list[Combination]
+
+
+def final_numbers(problem: Problem, how: Scoring, selection: Selection, tolerance: float | None, block: int) -> Numbers:
+    """Segments have no prior: their numbers stay as they are."""
+    without = {name: one.base.estimate.guess for name, one in selection.screenings.items()}
+    if tolerance is None or how.segmented:
+        return Numbers(selection.recalibrated, selection.final, without, [], [])
+    signals, settings = how.signals(problem, len(selection.final.estimate.active)), how.settings
+
+    def settled(model: Model) -> tuple[Problem, Model]:
+        held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings)
+        return held, fitted_models(held, signals, [guess], settings, block)[0]
+
+    held, final = settled(selection.final)
+    _, recalibrated = settled(selection.recalibrated) if selection.screenings else (held, final)
+    fitted = fit_all(held, signals, list(without.values()), settings)
+    without = {name: guess for name, (guess, _) in zip(without, fitted, strict=True)}
+    unseen = undetermined(held, signals, final.estimate.guess, settings)
+    return Numbers(recalibrated, final, without, departures(held, final), unseen)
+
+
+def most_likely(
+    problem: Problem, signals: Signals, guess: Guess, tolerance: float, settings: Settings
+) -> tuple[Problem, Guess]:
+    """The minimum above, and the problem whose prior has that weight."""
+    for _ in range(_ROUNDS):
+        (run,) = runs(problem, signals, [guess], settings)
+        variance = float((run.error**2).sum()) / signals.size
+        if abs(variance / problem.noise - 1.0) <= _SAME:
+            break
+        problem = problem.held(tolerance, variance)
+        ((guess, _),) = fit_all(problem, signals, [guess], settings)
+    return problem, guess
+
+
+def departures(problem: Problem, model: Model) -> list[Departure]:
+    """A departure lies outside its prior, and the nominal number outside its interval."""
+    found, half_width = [], stats.t.ppf(0.975, model.freedom) * model.deviation
+    for i in problem.of(None):
+        if problem.precision[i] <= 0:
+            continue
+        reach = _BEYOND * float(problem.noise / problem.precision[i]) ** 0.5
+        before, after = float(problem.theta[i]), float(model.estimate.theta[i])
+        if abs(after - before) > max(reach, half_width[i]):
+            found.append(Departure(int(i), before, after, (before - reach, before + reach)))
+    return found
+
+
+def undetermined(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> list[Combination]:
+    """Combinations of parameters about which the prior says more than the data."""
+    (run,) = runs(problem, signals, [guess], settings)
+    at, free = linearisation(problem, signals, guess, run)
+    covariance, _ = likelihood.covariance(at, likelihood.noise_of(at), problem.noise)
+    own = np.flatnonzero(problem.precision[free] > 0)
+    places = free[own]
+    if not len(places):
+        return []
+    deviation = (problem.noise / problem.precision[places]) ** 0.5
+    left, directions = np.linalg.eigh(covariance[np.ix_(own, own)] / deviation / deviation[:, None])
+    found = []
+    for share, direction in zip(left[::-1], directions.T[::-1], strict=True):
+        if share < _LEFT:
+            break
+        change = direction * deviation / np.abs(problem.theta[places])
+        change = change / change[np.argmax(np.abs(change))]
+        named = {problem.slots[i].label: float(c) for i, c in zip(places, change, strict=True) if abs(c) >= _PART}
+        found.append(Combination(named, float(min(share, 1.0))))
+    return found
