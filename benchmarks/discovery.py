@@ -67,7 +67,7 @@ def main() -> None:
 def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) -> Row:
     """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
     case = suite.build(plan)
-    setup = _set_up(case, plan.removed)
+    setup = setup_of(case, plan.removed)
     if plan.in_other_units or not problems:  # units are part of the program
         problems.clear()
         problem = build_problem(setup.physics, setup.first_effects, fixed=setup.settings.fixed)
@@ -98,7 +98,7 @@ def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) 
     }
 
 
-def _set_up(case: Case, removed: Sequence[str]) -> Setup:
+def setup_of(case: Case, removed: Sequence[str]) -> Setup:
     """As `pg.discover` begins, from the defaults and what a benchmark leaves out."""
     physics = nominal(case)
     known = {effect.name for effect in catalogue(physics)}

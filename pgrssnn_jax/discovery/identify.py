@@ -19,14 +19,14 @@ from scipy import stats
 
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models
-from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
+from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
 
 _ROUNDS = 4  # σ² and the numbers in turn, at most
-_SAME = 0.05  # relative change of σ²: below, the numbers move by less than a twentieth of their deviation
+_SAME = 0.1  # relative change of σ²: below, the numbers move by less than a tenth of their deviation
 _BEYOND = 1.96  # standard deviations of the prior: 95 %
 _LEFT = 0.5  # part of the prior's variance, above which the prior says more than the data
 _PART = 0.1  # of the largest entry: smaller ones of a combination are left out
@@ -83,8 +83,7 @@ def most_likely(
 ) -> tuple[Problem, Guess]:
     """The minimum above, and the problem whose prior has that weight."""
     for _ in range(_ROUNDS):
-        (run,) = runs(problem, signals, [guess], settings)
-        variance = float((run.error**2).sum()) / signals.size
+        variance = evaluate(problem, signals, guess).cost / signals.size
         if abs(variance / problem.noise - 1.0) <= _SAME:
             break
         problem = problem.held(tolerance, variance)

@@ -1,0 +1,149 @@
+"""What does each number that decides change? python benchmarks/sensitivity.py [--cases 8] [--systems pendulum duffing]
+[--kinds none single] [--noises white ar95 ...] [--seed 0].
+
+Every field of `Criteria` is halved and doubled, one at a time, and every case is decided again. Prints per field how
+many verdicts or names change, and how many right answers are lost and won. Screenings that a field does not touch are
+made once, with random numbers of their own, so that a change of the outcome is one of the field.
+"""
+
+import argparse
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import wraps
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from discovery import setup_of
+from hidden import suite
+from hidden.case import SYSTEMS, Case
+from hidden.noise import KINDS as NOISES
+from hidden.score import is_right
+from hidden.suite import KINDS
+from rich.console import Console
+from rich.table import Table
+
+from pgrssnn_jax.discovery import nameless, scoring
+from pgrssnn_jax.discovery.candidates import Model
+from pgrssnn_jax.discovery.corrected import Corrected
+from pgrssnn_jax.discovery.discover import discover_in
+from pgrssnn_jax.discovery.estimate import Guess
+from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
+from pgrssnn_jax.discovery.setup import Setup
+
+_OF_SCREENINGS = ("p_value", "finalists", "hopeless", "draws", "block")  # fields that a screening depends on
+
+
+@dataclass(frozen=True)
+class Varied(DiscoverySettings):
+    """The defaults, with other criteria."""
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def criteria(self) -> Criteria:
+        return super().criteria._replace(**self.changes)
+
+
+class Outcome(NamedTuple):
+    verdict: str
+    names: frozenset[str]
+    right: bool
+
+
+def main() -> None:
+    arguments = _arguments()
+    jax.config.update("jax_num_cpu_devices", 2)
+    known: dict[Any, Any] = {}
+    scoring.score_candidates = _remembered(scoring.score_candidates, known)
+    nameless.score_corrections = _remembered(nameless.score_corrections, known)
+    counts: dict[tuple[str, str], Counter[str]] = {}
+    total = 0
+    for system in arguments.systems:
+        kept: tuple[Problem, Corrected] | None = None
+        for plan in suite.plans(system, arguments.cases, arguments.seed, arguments.kinds, arguments.noises):
+            known.clear()
+            case, total = suite.build(plan), total + 1
+            setup = setup_of(case, plan.removed)
+            kept = kept or (build_problem(setup.physics, setup.first_effects, fixed=setup.settings.fixed), Corrected())
+            usual = _outcome(kept, case, plan.kind, setup, {})
+            print(f"{system} {plan.seed} {plan.noise_kind}: {' + '.join(plan.truth) or 'none'} -> {usual}", flush=True)
+            for name, way, value in variations():
+                other = _outcome(kept, case, plan.kind, setup, {name: value})
+                counts.setdefault((name, way), Counter()).update(_differences(usual, other))
+    Console(width=120).print(_table(counts, total))
+
+
+def variations() -> Iterator[tuple[str, str, Any]]:
+    """Field, "half" or "twice", and the number."""
+    for name, value in Criteria()._asdict().items():
+        for way, factor in (("half", 0.5), ("twice", 2.0)):
+            yield name, way, max(1, round(value * factor)) if isinstance(value, int) else value * factor
+
+
+def _outcome(
+    kept: tuple[Problem, Corrected], case: Case, kind: str, setup: Setup, changes: Mapping[str, Any]
+) -> Outcome:
+    settings = Varied(**{**vars(setup.settings), "changes": changes})
+    problem = kept[0].with_numbers(setup.physics.params)
+    found = discover_in(problem, setup._replace(settings=settings), lambda line: None, kept[1])
+    names, verdict = found.selection.final.estimate.active, str(found.judgement.verdict)
+    return Outcome(verdict, frozenset(names), is_right(case, kind, names, verdict))
+
+
+def _differences(usual: Outcome, other: Outcome) -> dict[str, int]:
+    return {
+        "changed": usual[:2] != other[:2],
+        "lost": usual.right and not other.right,
+        "won": other.right and not usual.right,
+    }
+
+
+def _remembered(function: Callable[..., Any], known: dict[Any, Any]) -> Callable[..., Any]:
+    """The same screening of the same model once, with random numbers that depend on its effects alone."""
+
+    @wraps(function)
+    def screening(*given: Any, **named: Any) -> Any:
+        everything = [*given, *named.values()]
+        (criteria,) = (one for one in everything if isinstance(one, Criteria))
+        (base,) = (one for one in everything if isinstance(one, Guess | Model))
+        guess = base.estimate if isinstance(base, Model) else base
+        least = [one for one in everything if isinstance(one, float)]
+        decides = [getattr(criteria, name) for name in _OF_SCREENINGS]
+        numbers = (guess.theta.tobytes(), guess.x0.tobytes())
+        key = (function.__name__, type(base), guess.active, *numbers, *least, *decides)
+        if key not in known:
+            seed = np.random.default_rng(zlib.crc32(" ".join(sorted(guess.active)).encode()))
+            fresh = [seed if isinstance(one, np.random.Generator) else one for one in given]
+            known[key] = function(
+                *fresh, **{k: seed if isinstance(one, np.random.Generator) else one for k, one in named.items()}
+            )
+        return known[key]
+
+    return screening
+
+
+def _table(counts: Mapping[tuple[str, str], Counter[str]], total: int) -> Table:
+    columns = ("criterion", "value", "halved: changed", "right lost", "won", "doubled: changed", "right lost", "won")
+    table = Table(*columns, title=f"{total} cases")
+    for name, value in Criteria()._asdict().items():
+        cells = [str(counts[name, way][what]) for way in ("half", "twice") for what in ("changed", "lost", "won")]
+        table.add_row(name, f"{value:g}", *cells)
+    return table
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--cases", type=int, default=8, help="per system")
+    parser.add_argument("--systems", nargs="+", default=["pendulum", "duffing", "tanks"], choices=SYSTEMS)
+    parser.add_argument("--kinds", nargs="+", default=["none", "single"], choices=KINDS)
+    parser.add_argument("--noises", nargs="+", default=["white", "ar95", "heavy", "state"], choices=NOISES)
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
