@@ -84,7 +84,7 @@ def most_likely(
     """The minimum above, and the problem whose prior has that weight."""
     for _ in range(_ROUNDS):
         variance = evaluate(problem, signals, guess).cost / signals.size
-        if abs(variance / problem.noise - 1.0) <= _SAME:
+        if abs(variance - problem.noise) <= _SAME * problem.noise:
             break
         problem = problem.held(tolerance, variance)
         ((guess, _),) = fit_all(problem, signals, [guess], settings)
