@@ -25,16 +25,25 @@ from hidden.suite import KINDS
 from rich.console import Console
 from rich.table import Table
 
-from pgrssnn_jax.discovery import nameless, scoring
-from pgrssnn_jax.discovery.candidates import Model
+from pgrssnn_jax.discovery import discover, nameless, scoring
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import discover_in
-from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 
 _OF_SCREENINGS = ("p_value", "finalists", "hopeless", "draws", "block")  # fields that a screening depends on
+_ONCE = (
+    (scoring, "score_candidates"),
+    (nameless, "score_corrections"),
+    (nameless, "errors_follow"),
+    (nameless, "spectral_line"),
+    (discover, "nominal_guess"),
+    (discover, "recalibrated_guess"),
+    (discover, "smoothed_correction"),
+    (discover, "final_numbers"),
+    (discover, "validations_on_test"),
+)
 
 
 @dataclass(frozen=True)
@@ -58,8 +67,8 @@ def main() -> None:
     arguments = _arguments()
     jax.config.update("jax_num_cpu_devices", 2)
     known: dict[Any, Any] = {}
-    scoring.score_candidates = _remembered(scoring.score_candidates, known)
-    nameless.score_corrections = _remembered(nameless.score_corrections, known)
+    for module, name in _ONCE:
+        setattr(module, name, _remembered(getattr(module, name), known))
     counts: dict[tuple[str, str], Counter[str]] = {}
     total = 0
     for system in arguments.systems:
@@ -103,27 +112,33 @@ def _differences(usual: Outcome, other: Outcome) -> dict[str, int]:
 
 
 def _remembered(function: Callable[..., Any], known: dict[Any, Any]) -> Callable[..., Any]:
-    """The same screening of the same model once, with random numbers that depend on its effects alone."""
+    """The same function, which works once for the same numbers. Random numbers depend on the effects of the model that
+    is examined alone; of the criteria those count that screenings depend on."""
 
     @wraps(function)
-    def screening(*given: Any, **named: Any) -> Any:
-        everything = [*given, *named.values()]
-        (criteria,) = (one for one in everything if isinstance(one, Criteria))
-        (base,) = (one for one in everything if isinstance(one, Guess | Model))
-        guess = base.estimate if isinstance(base, Model) else base
-        least = [one for one in everything if isinstance(one, float)]
-        decides = [getattr(criteria, name) for name in _OF_SCREENINGS]
-        numbers = (guess.theta.tobytes(), guess.x0.tobytes())
-        key = (function.__name__, type(base), guess.active, *numbers, *least, *decides)
+    def once(*given: Any, **named: Any) -> Any:
+        leaves = jax.tree.leaves([given, named], is_leaf=lambda one: isinstance(one, Criteria))
+        key = (function.__name__, *(_fingerprint(leaf) for leaf in leaves))
         if key not in known:
-            seed = np.random.default_rng(zlib.crc32(" ".join(sorted(guess.active)).encode()))
-            fresh = [seed if isinstance(one, np.random.Generator) else one for one in given]
-            known[key] = function(
-                *fresh, **{k: seed if isinstance(one, np.random.Generator) else one for k, one in named.items()}
+            names = [leaf for leaf in leaves if isinstance(leaf, str)]
+            seed = np.random.default_rng(zlib.crc32(" ".join(sorted(names)).encode()))
+            given, named = jax.tree.map(
+                lambda leaf: seed if isinstance(leaf, np.random.Generator) else leaf, (given, named)
             )
+            known[key] = function(*given, **named)
         return known[key]
 
-    return screening
+    return once
+
+
+def _fingerprint(leaf: Any) -> Any:
+    if isinstance(leaf, Criteria):
+        return tuple(getattr(leaf, name) for name in _OF_SCREENINGS)
+    if isinstance(leaf, Problem):
+        return leaf.theta.tobytes(), leaf.noise
+    if isinstance(leaf, np.ndarray | jax.Array):
+        return zlib.crc32(np.ascontiguousarray(leaf).tobytes())
+    return leaf if isinstance(leaf, int | float | str) else None
 
 
 def _table(counts: Mapping[tuple[str, str], Counter[str]], total: int) -> Table:

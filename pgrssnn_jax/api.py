@@ -21,7 +21,7 @@ from rich.console import Console
 from pgrssnn_jax.acceleration.devices import keep_compiled
 from pgrssnn_jax.data.benchmarks import load_benchmark
 from pgrssnn_jax.data.sources import channels
-from pgrssnn_jax.discovery.discover import check_free_run
+from pgrssnn_jax.discovery.checks import check_physics
 from pgrssnn_jax.discovery.discover import discover as discover_from
 from pgrssnn_jax.discovery.network import network_shares, plan_network
 from pgrssnn_jax.discovery.serialise import discovery_arrays, discovery_json
@@ -144,7 +144,7 @@ def discover(
 
 def check_setup(setup: Setup) -> None:
     """Raises `ValueError` for what could turn out to be bad input during a discovery."""
-    check_free_run(setup)
+    check_physics(setup)
     if setup.settings.network_epochs:
         plan_network(setup, None)
 

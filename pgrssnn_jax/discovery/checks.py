@@ -1,0 +1,67 @@
+"""What a physics must offer to be examined: a free run over the record that stays finite, and so do its derivatives."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
+from pgrssnn_jax.discovery.scoring import scoring
+from pgrssnn_jax.discovery.setup import Setup
+
+
+def check_physics(setup: Setup) -> None:
+    """Raises `ValueError` when the nominal physics cannot be simulated over the record, or where its derivatives by a
+    parameter or a state are not finite: no fit could move them. Those of the library's own physics are."""
+    with jax.enable_x64(True):
+        problem = build_problem(setup.physics, ())
+        record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
+        signals = record.signals(problem, 0)
+        _, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
+        _check_free_run(problem, x[0])
+        origin = setup.physics.origin
+        if origin is None or not origin.target.startswith("pgrssnn_jax."):
+            _check_derivatives(problem, signals, x[0])
+
+
+def _check_free_run(problem: Problem, x: Float[np.ndarray, "seq time x"]) -> None:
+    finite = np.isfinite(x).all((0, 2))
+    if not finite.all():
+        raise ValueError(
+            f"physics {problem.physics.name!r}: expected a free run that stays finite over the record, found states "
+            f"beyond the floating-point range from sample {int(np.argmin(finite))} on"
+        )
+
+
+def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:
+    """Of every step and reading of the first sequence."""
+    before = np.concatenate([signals.start[:1], x[0, :-1]])
+    full, unravel = problem.full, problem.code.unravel
+
+    def together(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
+        p = unravel(theta)
+        new = full.step(p, x, u)
+        return jnp.concatenate([new, full.measure(p, new, u)])
+
+    by_theta, by_x = jax.jit(jax.vmap(jax.jacfwd(together, (0, 1)), (None, 0, 0)))(
+        jnp.asarray(problem.theta), jnp.asarray(before), jnp.asarray(signals.u[0])
+    )
+    own = problem.of(None)
+    _check(problem, np.asarray(by_x), "state", [state.name for state in problem.full.states])
+    _check(problem, np.asarray(by_theta)[..., own], "parameter", [problem.slots[i].label for i in own])
+
+
+def _check(
+    problem: Problem, derivatives: Float[np.ndarray, "time out number"], kind: str, names: Sequence[str]
+) -> None:
+    for name, column in zip(names, np.moveaxis(derivatives, -1, 0), strict=True):
+        finite = np.isfinite(column).all(-1)
+        if not finite.all():
+            raise ValueError(
+                f"physics {problem.physics.name!r}: expected finite derivatives along the free run, found one by the "
+                f"{kind} {name!r} that is not at sample {int(np.argmin(finite))} (a square root or a power at zero, "
+                "say, which jnp.where must keep out of both branches)"
+            )
