@@ -1,7 +1,8 @@
 """Suites of hidden-effect cases, balanced over effects and noise levels.
 
     single   one effect                    double    two effects on different parts of the plant
-    none     parameters wrong, no effect   removed   one effect whose names the catalogue is deprived of: unknown
+    none     parameters wrong, no effect   removed   one effect whose names the catalogue is deprived of, or that has
+                                              none: unknown
 
 A plan is cheap and says everything; `build` makes its data.
 """
@@ -89,7 +90,7 @@ def plans(
 def _deck(kind: str, known: Catalogue, rng: np.random.Generator) -> Iterator[tuple[tuple[str, ...], float]]:
     """Every effect once before any comes again; each meets the noise levels in turn."""
     options: list[tuple[str, ...]] = {
-        "single": [(name,) for name in known.acts_on],
+        "single": [(name,) for name in known.named],
         "double": known.doubles(),
         "none": [()],
         "removed": [(name,) for name in known.acts_on if name not in known.recalibrated],
