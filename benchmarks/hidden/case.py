@@ -11,7 +11,11 @@ from jaxtyping import Float
 
 from pgrssnn_jax.records.record import Record, RecordInfo, record
 
-SYSTEMS = ("tanks", "lgssm", "arm", "pendulum", "servo", "duffing", "chain")  # their order is part of the seeds
+# their order is part of the seeds
+SYSTEMS = (
+    *("tanks", "lgssm", "arm", "pendulum", "servo", "duffing", "chain"),
+    *("hysteretic", "drive", "circuit", "reactor"),
+)
 
 
 class Case(NamedTuple):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import arm, chain, duffing, lgssm, pendulum, servo, tanks, units
+from . import arm, chain, circuit, drive, duffing, hysteretic, lgssm, pendulum, reactor, servo, tanks, units
 from .case import SYSTEMS, Case, Catalogue
 from .noise import KINDS as NOISES
 
@@ -26,8 +26,12 @@ _MODULES = {
     "servo": servo,
     "duffing": duffing,
     "chain": chain,
+    "hysteretic": hysteretic,
+    "drive": drive,
+    "circuit": circuit,
+    "reactor": reactor,
 }
-_WITH_PROCESS_NOISE = ("lgssm", "servo", "duffing", "chain")
+_WITH_PROCESS_NOISE = ("lgssm", "servo", "duffing", "chain", "hysteretic", "drive", "circuit", "reactor")
 _MOST = 1000  # cases of one suite: the seeds of two suites do not meet
 
 
