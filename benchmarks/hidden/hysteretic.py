@@ -77,7 +77,7 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
     return {
         "hysteresis": lambda: _element(rng),
-        "cubic_spring": lambda: {"cubic": uniform(rng, 1.0, 4.0) if rng.random() < 0.6 else -uniform(rng, 0.6, 0.9)},
+        "cubic_spring": lambda: {"cubic": uniform(rng, 1.0, 4.0) if rng.random() < 0.6 else -uniform(rng, 0.75, 0.95)},
         "quadratic_drag": lambda: {"drag": uniform(rng, 0.25, 0.8)},
         "input_offset": lambda: {"u_offset": either_sign(rng, 0.3, 1.0)},
         "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},

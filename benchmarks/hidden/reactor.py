@@ -86,8 +86,8 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
     return {
-        "input_offset": lambda: {"u_offset": either_sign(rng, 2.2, 3.0)},
-        "sensor_offset": lambda: {"y_offset": either_sign(rng, 2.2, 3.0)},
+        "input_offset": lambda: {"u_offset": either_sign(rng, 2.5, 3.0)},
+        "sensor_offset": lambda: {"y_offset": either_sign(rng, 2.5, 3.0)},
         "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
         "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
         "input_lag": lambda: {"lag": uniform(rng, 2.0, 8.0)},
