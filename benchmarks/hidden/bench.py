@@ -1,10 +1,11 @@
 """From the equations of a plant to a case: inputs, thresholds where the signals are, noise, records.
 
-    v = clip(dead(z + u_offset), -u_top, u_top),   z: u late by `delay` and with a lag
-    y = clip(measured + y_offset + e, -y_top, y_top),   one offset per output
+    v = clip(dead(play(z) + u_offset), -u_top, u_top),   z: u late by `delay` and with a lag
+    y = clip(y_gain measured + y_offset + e, -y_top, y_top),   one offset per output
 
-dead(v) = sign(v) max(|v| - u_dead, 0). A plant is integrated by Runge-Kutta 4 in SUB_STEPS steps per sample; dry
-friction is the exact solution under the force of each of them.
+dead(v) = sign(v) max(|v| - u_dead, 0), play(z)_t = min(max(play(z)_{t-1}, z_t - u_play), z_t + u_play). A plant is
+integrated by Runge-Kutta 4 in SUB_STEPS steps per sample; dry friction is the exact solution under the force of each of
+them.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +28,8 @@ Slope = Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Plant(NamedTuple):
-    """slope(numbers, x, v): dx/dt, of states `[x, record]` and inputs `[record]`; outputs: states that are measured;
+    """slope(numbers, x, v): dx/dt, of states `[x, record]` and inputs `[record]`; states after those of the base
+    physics belong to an effect; outputs: states that are measured;
     speed: which state dry friction slows, if there is any; the state before it is its position;
     draw: sizes of an effect by its name; shape: an input as a wave of deviation 1, mean: of the input; reach: 99.9 %
     of the first output's readings lie within, on average over both records; lowest: that a state can have."""
@@ -112,10 +114,11 @@ def _excited(
     for _ in range(_TRIES):
         u = plant.mean + size * np.array(shapes)
         sizes = resolved(draw, {"input": np.abs(u)})
-        free = reading(plant, {**own, **sizes}, simulate(plant, {**own, **sizes}, u, start, none, 2))
+        with np.errstate(over="ignore", invalid="ignore"):  # a softer spring can let go
+            free = reading(plant, {**own, **sizes}, simulate(plant, {**own, **sizes}, u, start, none, 2))
         if plant.reach == np.inf:
             break
-        reached = np.nan_to_num(np.quantile(np.abs(free[..., 0]), 0.999), nan=np.inf)  # a softer spring can let go
+        reached = np.nan_to_num(np.quantile(np.abs(free[..., 0]), 0.999), nan=np.inf)
         size *= float(np.clip(plant.reach / max(reached, 1e-9), 0.6, 1.4))
     sizes = resolved(draw, {"input": np.abs(u), "reading": np.abs(free)})
     return u, sizes
@@ -139,8 +142,9 @@ def simulate(
 ) -> np.ndarray:
     """States `[record, time, x]` after each sample of records that start HISTORY samples after u does."""
     h, dry = plant.dt / sub_steps, numbers.get("dry", 0.0)
-    late = [command(one, SUB_STEPS, numbers.get("delay", 0.0), numbers.get("lag", 0.0), HISTORY) for one in u]
-    v = np.reshape(late, (2, -1, SUB_STEPS)).reshape(2, -1, sub_steps, SUB_STEPS // sub_steps).mean(-1)
+    late = [command(one, SUB_STEPS, numbers.get("delay", 0.0), numbers.get("lag", 0.0), 0) for one in u]
+    moved = _played(np.array(late), numbers.get("u_play", 0.0))[:, HISTORY * SUB_STEPS :]
+    v = moved.reshape(2, -1, SUB_STEPS).reshape(2, -1, sub_steps, SUB_STEPS // sub_steps).mean(-1)
     v = _acting(numbers, v) + w[..., None]
     x, found = start, np.empty((2, plant.samples, len(start)))
     for t in range(plant.samples):
@@ -171,6 +175,16 @@ def _rubbed(v0: Wave, free: Wave, h: float, dry: float) -> tuple[Wave, Wave]:
     return v, -sign * dry * stop**2 / 2 + np.where(held, still, 0.0)
 
 
+def _played(u: np.ndarray, half_width: float) -> np.ndarray:
+    """What a link with play passes on of u `[record, time]`; it begins in the middle of its play."""
+    if not half_width:
+        return u
+    z = u.copy()
+    for t in range(1, u.shape[1]):
+        z[:, t] = np.clip(z[:, t - 1], u[:, t] - half_width, u[:, t] + half_width)
+    return z
+
+
 def _acting(numbers: Numbers, u: np.ndarray) -> np.ndarray:
     v = u + numbers.get("u_offset", 0.0)
     v = np.sign(v) * np.maximum(np.abs(v) - numbers.get("u_dead", 0.0), 0.0)
@@ -181,4 +195,5 @@ def _acting(numbers: Numbers, u: np.ndarray) -> np.ndarray:
 def reading(plant: Plant, numbers: Numbers, states: np.ndarray, e: np.ndarray | float = 0.0) -> np.ndarray:
     """`[record, time, y]`; the range of a sensor ends after its noise."""
     top = numbers.get("y_top", np.inf)
-    return np.clip(states[..., list(plant.measured)] + numbers.get("y_offset", 0.0) + e, -top, top)
+    still = numbers.get("y_gain", 1.0) * states[..., list(plant.measured)] + numbers.get("y_offset", 0.0)
+    return np.clip(still + e, -top, top)

@@ -11,7 +11,11 @@ from jaxtyping import Float
 
 from pgrssnn_jax.records.record import Record, RecordInfo, record
 
-SYSTEMS = ("tanks", "lgssm", "arm", "pendulum", "servo", "duffing", "chain")  # their order is part of the seeds
+# their order is part of the seeds
+SYSTEMS = (
+    *("tanks", "lgssm", "arm", "pendulum", "servo", "duffing", "chain"),
+    *("hysteretic", "drive", "circuit", "reactor"),
+)
 
 
 class Case(NamedTuple):
@@ -47,7 +51,8 @@ class Catalogue(NamedTuple):
     other names of the very same physics. family: other names that could represent the effect exactly or are its kin,
     and are removed with it. recalibrated: effects that a refit of the base parameters takes up wholly, so that removing
     their names leaves nothing unknown. clashes: pairs of which one hides the other, in the order of acts_on. noises:
-    standard deviations, in the unit of the output.
+    standard deviations, in the unit of the output. unnamed: effects for which the library has no name, so that they are
+    hidden alone, and only to come out as unknown.
     """
 
     acts_on: dict[str, str]
@@ -56,6 +61,11 @@ class Catalogue(NamedTuple):
     family: dict[str, tuple[str, ...]] = {}  # noqa: RUF012
     recalibrated: tuple[str, ...] = ()
     clashes: tuple[tuple[str, str], ...] = ()
+    unnamed: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        return tuple(name for name in self.acts_on if name not in self.unnamed)
 
     def accepted(self, truth: tuple[str, ...]) -> tuple[tuple[str, ...], ...]:
         return tuple((name, *self.identical.get(name, ())) for name in truth)
@@ -64,7 +74,7 @@ class Catalogue(NamedTuple):
         return tuple(sorted({name, *self.identical.get(name, ()), *self.family.get(name, ())}))
 
     def doubles(self) -> list[tuple[str, str]]:
-        names = list(self.acts_on)
+        names = self.named
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
         return [(a, b) for a, b in pairs if self.acts_on[a] != self.acts_on[b] and (a, b) not in self.clashes]
 

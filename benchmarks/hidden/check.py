@@ -17,8 +17,9 @@ from pgrssnn_jax.physics.linear import lgssm as linear
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 from . import arm as hidden_arm
-from . import chain, duffing, lgssm, pendulum, servo, tanks
+from . import chain, circuit, drive, duffing, hysteretic, lgssm, pendulum, reactor, servo, tanks
 from .case import SYSTEMS, Case
+from .nominal import USERS
 from .suite import KINDS, build, plans
 
 
@@ -53,7 +54,8 @@ def free_run(physics: Physics, u: np.ndarray, x0: Any) -> np.ndarray:
 
 
 def difference(case: Case, physics: Physics, x0: Any) -> np.ndarray:
-    """Per output."""
+    """Per output; x0: of the plant, whose effects may have states of their own after those of the physics."""
+    x0 = x0[: len(physics.states)]
     return np.sqrt(np.mean((case.test.y - free_run(physics, case.test.u, x0)) ** 2, axis=(0, 1)))
 
 
@@ -73,10 +75,11 @@ def exact_pendulum() -> None:
 
 
 def exact_users() -> None:
-    for module, physics in ((servo, servo.servo), (duffing, duffing.duffing), (chain, chain.chain)):
+    for module in (servo, duffing, chain, hysteretic, drive, circuit, reactor):
         case = module.build(0, noise=0.0)
-        found = difference(case, physics(**case.magnitudes["parameters"]), case.magnitudes["start"][1])
-        print(case.system, found.round(9))
+        physics = USERS[case.system](**case.magnitudes["parameters"])
+        found, size = difference(case, physics, case.magnitudes["start"][1]), case.test.y.std(axis=(0, 1))
+        print(case.system, found.round(9), "of the deviation", (found / size).round(9))
 
 
 def exact_linear() -> None:
@@ -93,7 +96,7 @@ def exact_arm() -> None:
 
 def same_twice() -> None:
     """A case is a function of its seed; another noise changes nothing else."""
-    for module in (tanks, lgssm, pendulum, hidden_arm, servo, duffing, chain):
+    for module in (tanks, lgssm, pendulum, hidden_arm, servo, duffing, chain, hysteretic, drive, circuit, reactor):
         name = next(iter(module.CATALOGUE.acts_on))
         quiet, again, loud = (module.build(7, (name,), noise=n) for n in (0.005, 0.005, 0.01))
         assert np.array_equal(quiet.train.y, again.train.y)

@@ -6,13 +6,23 @@ from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
-from . import chain, duffing, pendulum, servo, units
+from . import chain, circuit, drive, duffing, hysteretic, pendulum, reactor, servo, units
 from .case import Case
 from .rig import REFERENCE_LEVEL
 
 # True numbers by the names that the nominal physics has for them; a linear system's depend on its coordinates.
 _NAMES = {"pendulum": {"l": "length", "d": "damping"}}
 _NOT_COMPARED = ("lgssm", "arm")
+USERS = {
+    "pendulum": pendulum.pendulum,
+    "servo": servo.servo,
+    "duffing": duffing.duffing,
+    "chain": chain.chain,
+    "hysteretic": hysteretic.hysteretic,
+    "drive": drive.drive,
+    "circuit": circuit.circuit,
+    "reactor": reactor.reactor,
+}
 
 
 def nominal(case: Case) -> Physics:
@@ -25,9 +35,8 @@ def _in_own_units(case: Case) -> Physics:
         return cascaded_tanks(**case.physics, integrator="rk4")
     if case.system == "lgssm":
         return lgssm(**case.physics)
-    users = {"pendulum": pendulum.pendulum, "servo": servo.servo, "duffing": duffing.duffing, "chain": chain.chain}
-    if case.system in users:
-        return users[case.system](**case.physics)
+    if case.system in USERS:
+        return USERS[case.system](**case.physics)
     return arm(**{"sub_steps": 5, **case.physics})
 
 

@@ -1,7 +1,8 @@
 """Suites of hidden-effect cases, balanced over effects and noise levels.
 
     single   one effect                    double    two effects on different parts of the plant
-    none     parameters wrong, no effect   removed   one effect whose names the catalogue is deprived of: unknown
+    none     parameters wrong, no effect   removed   one effect whose names the catalogue is deprived of, or that has
+                                              none: unknown
 
 A plan is cheap and says everything; `build` makes its data.
 """
@@ -12,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import arm, chain, duffing, lgssm, pendulum, servo, tanks, units
+from . import arm, chain, circuit, drive, duffing, hysteretic, lgssm, pendulum, reactor, servo, tanks, units
 from .case import SYSTEMS, Case, Catalogue
 from .noise import KINDS as NOISES
 
@@ -25,8 +26,12 @@ _MODULES = {
     "servo": servo,
     "duffing": duffing,
     "chain": chain,
+    "hysteretic": hysteretic,
+    "drive": drive,
+    "circuit": circuit,
+    "reactor": reactor,
 }
-_WITH_PROCESS_NOISE = ("lgssm", "servo", "duffing", "chain")
+_WITH_PROCESS_NOISE = ("lgssm", "servo", "duffing", "chain", "hysteretic", "drive", "circuit", "reactor")
 _MOST = 1000  # cases of one suite: the seeds of two suites do not meet
 
 
@@ -89,7 +94,7 @@ def plans(
 def _deck(kind: str, known: Catalogue, rng: np.random.Generator) -> Iterator[tuple[tuple[str, ...], float]]:
     """Every effect once before any comes again; each meets the noise levels in turn."""
     options: list[tuple[str, ...]] = {
-        "single": [(name,) for name in known.acts_on],
+        "single": [(name,) for name in known.named],
         "double": known.doubles(),
         "none": [()],
         "removed": [(name,) for name in known.acts_on if name not in known.recalibrated],

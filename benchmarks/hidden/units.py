@@ -27,6 +27,10 @@ _DIMENSIONS: dict[str, dict[str, tuple[float, float]]] = {
     "servo": dict.fromkeys("mf", (1, -1)),
     "duffing": dict.fromkeys("mck", (1, -1)),
     "chain": dict.fromkeys(("r1", "r2", "r3", "r4", "r5"), (0, 0.5)),
+    "hysteretic": dict.fromkeys("mck", (1, -1)),
+    "drive": dict.fromkeys(("j1", "j2", "k", "d", "f"), (1, -1)),
+    "circuit": {"L": (0, 1), "C": (0, -1)},  # of a current that is in A
+    "reactor": {"E": (0, 1), "b": (0, 1)},  # in K, as the reading
 }
 Units = tuple[float, float]
 

@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.hidden import noise, suite, units
-from benchmarks.hidden.check import free_run
-from benchmarks.hidden.nominal import nominal
+from benchmarks.hidden import circuit, drive, hysteretic, noise, reactor, suite, units
+from benchmarks.hidden.check import difference, free_run
+from benchmarks.hidden.nominal import USERS, nominal
 from benchmarks.hidden.score import wilson
 from pgrssnn_jax.effects import add_effect
+from pgrssnn_jax.effects.systems import catalogue
+
+MODULES = {"hysteretic": hysteretic, "drive": drive, "circuit": circuit, "reactor": reactor}
 
 
 @pytest.mark.parametrize("kind", noise.KINDS)
@@ -34,7 +37,7 @@ def test_a_kind_of_noise_changes_nothing_but_the_noise():
     assert np.abs(np.asarray(white.train.y) - np.asarray(other.train.y)).max() > 0.0
 
 
-@pytest.mark.parametrize("system", ["tanks", "lgssm", "pendulum", "chain"])
+@pytest.mark.parametrize("system", ["tanks", "lgssm", "pendulum", "chain", *MODULES])
 def test_a_case_in_other_units_is_the_same_case(system):
     plan = suite.plans(system, 1, 300, ("none",))[0]
     here, there = suite.build(plan), suite.build(plan._replace(in_other_units=True))
@@ -61,3 +64,60 @@ def test_effects_act_inside_the_derivative_in_any_unit():
 def test_intervals_of_shares_are_wilsons():
     np.testing.assert_allclose(wilson(9, 10), (0.596, 0.982), atol=1e-3)
     assert wilson(0, 10)[0] == pytest.approx(0.0)
+
+
+@pytest.mark.parametrize("system", MODULES)
+def test_without_effects_a_simulator_is_the_physics_of_its_owner(system):
+    case = MODULES[system].build(0, noise=0.0)
+    with jax.enable_x64(True):
+        physics = USERS[system](**case.magnitudes["parameters"])
+        found = difference(case, physics, case.magnitudes["start"][1])
+    assert np.all(found < 1e-4 * np.asarray(case.test.y).std(axis=(0, 1)))
+
+
+@pytest.mark.parametrize("system", MODULES)
+def test_the_library_has_the_names_of_what_is_hidden(system):
+    known = suite.catalogue(system)
+    case = MODULES[system].build(0, noise=0.0)
+    there = {effect.name for effect in catalogue(nominal(case))}
+    assert {name for one in known.named for name in known.removed_with(one)} <= there
+    assert there.isdisjoint(known.unnamed)
+
+
+def test_an_effect_without_a_name_is_hidden_only_to_come_out_as_unknown():
+    plans = suite.plans("circuit", 120, 0)
+    kinds = {plan.kind for plan in plans if "coil_saturation" in plan.truth}
+    assert kinds == {"removed"}
+
+
+@pytest.mark.parametrize(
+    ("system", "name", "effect", "numbers"),
+    [
+        ("drive", "backlash", "backlash", lambda m: {"half_width": m["u_play"]}),
+        ("circuit", "sensor_gain", "sensor_gain", lambda m: {"gain": m["y_gain"]}),
+    ],
+)
+def test_play_and_gain_are_those_of_the_library(system, name, effect, numbers):
+    """Play begins where nobody knows: it is forgotten when the input has turned."""
+    case = MODULES[system].build(1, (name,), noise=0.0)
+    own, plain = case.magnitudes["start"][1], case._replace(physics=case.magnitudes["parameters"])
+    with jax.enable_x64(True):
+        physics = add_effect(nominal(plain), effect, **numbers(case.magnitudes))
+        start = np.zeros(len(physics.states))
+        start[: len(own)] = own
+        found = free_run(physics, np.asarray(case.test.u, float), start)
+    error = np.sqrt(np.mean((found - np.asarray(case.test.y)) ** 2))
+    assert error < 0.05 * case.change
+
+
+def test_an_element_with_hysteresis_loses_energy_and_stays_bounded():
+    sizes = hysteretic.build(2, ("hysteresis",), noise=0.0).magnitudes
+    q = 0.5 * np.sin(np.linspace(0.0, 4.0 * np.pi, 20_001))
+    z = np.zeros_like(q)
+    own = {**hysteretic.NOMINAL, **sizes}
+    for t in range(1, len(q)):
+        x = np.array([[q[t - 1]], [q[t] - q[t - 1]], [z[t - 1]]])
+        z[t] = z[t - 1] + hysteretic.PLANT.slope(own, x, np.zeros(1))[2, 0]
+    top = (sizes["beta"] + sizes["gamma"]) ** (-1 / sizes["n"])
+    assert np.abs(z).max() == pytest.approx(top, rel=0.05)
+    assert np.trapezoid(z[10_000:], q[10_000:]) > 0.5 * top
