@@ -61,7 +61,8 @@ class Judge(NamedTuple):
         better, error = candidate.model.better_than(screening.base)
         closed, left = screening.rms() - screening.rms(candidate.model), screening.rms() - self.noise
         share = closed >= self.criteria.share * self.gap
-        if not share and not closed >= self.criteria.rest * left > 0.0:
+        least = max(self.criteria.rest * left, self.criteria.exact * self.gap)
+        if not share and not (left > 0.0 and closed >= least):
             return False
         sure = not share or self.problem.effect(candidate.name).elaborate
         if better <= (self.criteria.certain if sure else self.criteria.standard_errors) * error:

@@ -29,7 +29,8 @@ class Criteria(NamedTuple):
     p_value: float = 0.01  # of the gain of log-likelihood under the null, over the whole catalogue
     further: float = 0.05  # sum of the p-values of all effects that are named beside one that reaches it
     share: float = 0.02  # least part of the gap that an effect closes: below, it is not worth a name
-    rest: float = 0.5  # or of what others leave of it, where it is `certain`
+    rest: float = 0.5  # or of the part that others leave, where it is `certain`
+    exact: float = 0.002  # but at least this part of the gap: the laws of effects hold no better between two samples
     standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
     certain: float = 3.0  # the same for less than `share`, elaborate effects, and corrections without a name
     nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed

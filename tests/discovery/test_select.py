@@ -110,6 +110,13 @@ def test_an_effect_that_closes_the_rest_must_predict_better_with_certainty(tanks
     assert (Judge(tanks, Criteria(), gap=19.0, noise=1.0).best(candidates, {}) is not None) == enters
 
 
+@pytest.mark.parametrize(("gap", "enters"), [(19.0, True), (100.0, False)])
+def test_what_the_law_of_another_effect_may_have_missed_gets_no_name(tanks, gap, enters):
+    """Laws are sampled: an error of a thousandth of what they close is theirs."""
+    candidates = screening(model(tanks, 1.21, (LEAN,)), {RICH: model(tanks, 1.0, (LEAN, RICH), NOISE)})
+    assert (Judge(tanks, Criteria(), gap=gap, noise=1.0).best(candidates, {}) is not None) == enters
+
+
 def test_what_the_parameters_can_do_exactly_is_no_effect(problem):
     energies = {"": 400.0, "A": 1.0, "C": 2.0}
     assert found(problem, energies, visible={A: (100.0, 50.0)}) == "A"
