@@ -16,10 +16,10 @@ test: install
 	$(BIN)/python -m pytest
 
 test-slow: install
-	$(BIN)/python -m pytest -m slow --dist worksteal
+	$(BIN)/python -m pytest -m slow
 
 test-all: install
-	$(BIN)/python -m pytest -m "" --dist worksteal
+	$(BIN)/python -m pytest -m ""
 
 check: install
 	$(BIN)/ruff format --check $(SOURCES)

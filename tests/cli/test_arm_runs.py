@@ -31,6 +31,7 @@ def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
     assert [output["name"] for output in metrics["outputs"]] == POSITIONS
 
 
+@pytest.mark.slow
 def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zero(tmp_path):
     found = []
     for backend in ("jax", "pinocchio"):
@@ -47,6 +48,7 @@ def test_the_pinocchio_backend_trains_on_two_devices(tmp_path):
     assert metrics_of(trained(tmp_path / "run", "+experiment=robot_real", *overrides))["summary"]["finished"] == 2
 
 
+@pytest.mark.slow
 def test_a_trained_run_shows_the_arm(tmp_path):
     run = trained(tmp_path / "run", "+experiment=robot_real", *SMALL, *TINY, "physics.physics_gradient=stopped")
     assert metrics_of(run)["summary"]["finished"] == 2
@@ -65,6 +67,7 @@ def test_velocities_have_a_scale_of_their_own_and_no_offset():
     assert (scaling.x.scale[:, 6:] != scaling.x.scale[:, :6]).all()
 
 
+@pytest.mark.slow
 def test_published_scaling_gives_velocities_the_positions_units_and_starts_at_their_mean(tmp_path):
     overrides = ["data.realisations=1", "data.published_scaling=true", "initial_state=scaled_zero", *SMALL]
     plan = planned("+experiment=robot_simulated", *overrides).plan
@@ -175,7 +178,7 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
     [
         pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=pytest.mark.slow),
         pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=pytest.mark.slow),
-        ([*SIMULATED, "physics=arm_true"], (0.32, 0.33)),
+        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=pytest.mark.slow),
         (["+experiment=robot_real"], (3.2, 3.32)),
     ],
 )

@@ -95,6 +95,7 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     assert all(row["share_of_samples"] <= 1.0 for row in said["disagreement"])
 
 
+@pytest.mark.slow
 def test_a_saturation_is_found_in_stretches_too(tmp_path):
     config = composed(*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]", name="discover")
     setup = checked(config, lambda line: None)

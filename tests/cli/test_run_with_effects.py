@@ -54,7 +54,7 @@ def deleted(file: Path) -> None:
     file.unlink()
 
 
-@pytest.mark.parametrize("change", [other, broken, deleted])
+@pytest.mark.parametrize("change", [other, *(pytest.param(one, marks=pytest.mark.slow) for one in (broken, deleted))])
 def test_what_happens_to_the_file_of_effects_changes_nothing_in_the_run(made, tmp_path, change):
     run, file = tmp_path / "run", made / "found.json"
     shutil.copytree(made / "run", run)
@@ -78,6 +78,7 @@ def test_what_happens_to_the_file_of_effects_changes_nothing_in_the_run(made, tm
     assert again["numbers"]["parameters"]["k1"] == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_made_longer_remembers_the_file_it_was_made_of(made, tmp_path):
     """`resume=` must not point the configuration at the folder itself, which may be moved."""
     shutil.copytree(made / "run", tmp_path / "run")

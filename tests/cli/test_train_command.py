@@ -200,6 +200,7 @@ def test_a_stop_before_training_writes_nothing(tmp_path):
     assert not list(tmp_path.rglob("config.yaml"))
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
     run = trained(tmp_path / "run", *quick(benchmark, "data.published_scaling=true", "initial_state=zero"))
     with np.load(run.path / "predictions.npz") as arrays:

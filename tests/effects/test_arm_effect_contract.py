@@ -127,6 +127,7 @@ def everything(**settings: Any) -> tuple[Physics, dict[str, Any]]:
     return physics, {name: jax.tree.map(jnp.asarray, physics.params.effects[name]) for name in sorted(NAMES)}
 
 
+@pytest.mark.slow
 def test_derivatives_by_all_numbers_are_those_of_finite_differences_in_both_modes():
     physics, numbers = everything(derivatives="forward")
     run, h = run_of(physics), 1e-6
