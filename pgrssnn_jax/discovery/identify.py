@@ -42,8 +42,8 @@ class Departure(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """changes: relative, of parameters by label, which the data hardly see together; left: part of the prior's
-    variance."""
+    """changes: relative, of parameters by label, which the data hardly see together (entries of a matrix: relative to
+    its largest one); left: part of the prior's variance."""
 
     changes: dict[str, float]
     left: float
@@ -115,11 +115,12 @@ def undetermined(problem: Problem, signals: Signals, guess: Guess, settings: Set
         return []
     deviation = (problem.noise / problem.precision[places]) ** 0.5
     left, directions = np.linalg.eigh(covariance[np.ix_(own, own)] / deviation / deviation[:, None])
+    scale = problem.scales(places)
     found = []
     for share, direction in zip(left[::-1], directions.T[::-1], strict=True):
         if share < _LEFT:
             break
-        change = direction * deviation / np.abs(problem.theta[places])
+        change = direction * deviation / scale
         change = change / change[np.argmax(np.abs(change))]
         named = {problem.slots[i].label: float(c) for i, c in zip(places, change, strict=True) if abs(c) >= _PART}
         found.append(Combination(named, float(min(share, 1.0))))

@@ -81,12 +81,17 @@ class Problem:
         """The same problem whose physics is known by a prior: the relative standard deviation of what was
         given (of a matrix: relative to its largest entry), where `noise` is the variance of the weighted errors. A zero
         says nothing about its size and is not held."""
+        own = self.of(None)
         deviation = np.zeros(len(self.theta))
-        for path in {slot.path for slot in self.slots if slot.effect is None and slot.meaning.trainable}:
-            places = [i for i, slot in enumerate(self.slots) if slot.path == path]
-            deviation[places] = tolerance * np.abs(self.theta[places]).max()
+        deviation[own] = tolerance * self.scales(own)
         held = deviation > 0
         return replace(self, precision=np.where(held, noise / np.where(held, deviation, 1.0) ** 2, 0.0), noise=noise)
+
+    def scales(self, places: Int[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Sizes of nominal numbers; of an entry of a matrix, of its largest one."""
+        paths = [slot.path for slot in self.slots]
+        same = [[i for i, path in enumerate(paths) if path == paths[place]] for place in places]
+        return np.array([np.abs(self.theta[alike]).max() for alike in same])
 
     def penalty(self, theta: np.ndarray) -> float:
         """Σ (θ - given)² precision."""

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import at_bound, interval
 from pgrssnn_jax.effects.base import add, effects_of, own_of
@@ -43,16 +45,17 @@ def recalibration(found: Discovery) -> dict[str, Any]:
 def departures(found: Discovery) -> list[dict[str, Any]]:
     """Numbers of the physics that left their prior."""
     final, slots = parameters(found), found.problem.slots
+    scales = found.problem.scales(np.array([one.place for one in found.departures], int))
     return [
         {
             "parameter": slots[one.place].label,
             "before": one.before,
             "after": one.after,
-            "change": (one.after - one.before) / abs(one.before),
+            "change": float((one.after - one.before) / scale),
             "prior": list(one.prior),
             **{key: final[slots[one.place].label][key] for key in ("interval", "unit", "at_bound")},
         }
-        for one in found.departures
+        for one, scale in zip(found.departures, scales, strict=True)
     ]
 
 

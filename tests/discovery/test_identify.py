@@ -84,6 +84,14 @@ def test_numbers_outside_their_prior_are_departures(problem, gain, departed):
         assert row.prior == pytest.approx((1.0 - 0.196, 1.0 + 0.196))
 
 
+def test_zeros_of_a_matrix_are_held_by_its_largest_entry():
+    physics = lgssm(A=[[0.8, 0.0], [0.3, 0.5]], B=[[1.0], [0.0]], C=[[1.0, 0.0]], inputs=["u0"], outputs=["y0"])
+    problem = build_problem(physics, ())
+    signals = signals_of(problem, 1.0)
+    rows = undetermined(problem.held(TOLERANCE, 1e-4), signals, Guess((), problem.theta, signals.start), SETTINGS)
+    assert any(np.isfinite(list(row.changes.values())).all() and "A[2][1]" in row.changes for row in rows)
+
+
 def test_without_a_prior_nothing_departs(problem):
     signals = signals_of(problem, 2.0)
     (model,) = fitted_models(problem, signals, [Guess((), problem.theta, signals.start)], SETTINGS, 20)
