@@ -1,6 +1,6 @@
-"""The whole of a discovery: recalibrate, select, locate, judge, validate. Nothing here writes a file.
+"""The whole of a discovery: recalibrate, select, locate, judge, final numbers, validate. Nothing here writes a file.
 
-record, physics ──> recalibrated ──> selected effects ──> correction signal ──> judgement ──> test record, once
+record, physics ──> recalibrated ──> selected effects ──> judgement ──> final numbers ──> test record, once
 """
 
 import time
@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.estimate import Guess, evaluate
-from pgrssnn_jax.discovery.identify import Combination, Departure, final_numbers
+from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import noise_floor
@@ -75,6 +75,15 @@ class Named(NamedTuple):
     selection: Selection
 
 
+class Judged(NamedTuple):
+    """formula: of a correction without a name; convention: an effect that is none, but a way of reading."""
+
+    nameless: Nameless
+    judgement: Judgement
+    formula: Formula | None
+    convention: str | None
+
+
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
     """Of a physics whose free run over the record stays finite (`checks.check_physics`)."""
     chosen = setup.settings
@@ -93,38 +102,24 @@ def discover_in(
         if _elaborate(named, setup, chosen.criteria):
             notify("errors stay above the noise: elaborate effects are looked for too")
             named = _named(corrected.with_catalogue(problem, setup.effects), setup, notify, seconds)
-        problem, how, known, nominal, selection = named
         with _timed(seconds, "locate"):
-            location = _located(problem, how, selection)
+            location = _located(named)
         with _timed(seconds, "judge"):
-            signals = partial(how.signals, effects=len(selection.final.estimate.active))
-            corrections = Corrections(problem, corrected, known, signals, how.settings)
-            nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
-            before = evaluate(problem, how.signals(problem, 0), nominal)
-            rms = (before.cost / selection.first.size) ** 0.5
-            convention = reading_convention(problem, selection.final)
-            judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
-            told = _told(corrections, how, selection, judgement)
+            judged = _judged(named, corrected, chosen)
         with _timed(seconds, "numbers"):
-            tolerance, block = chosen.tolerance, chosen.criteria.block
-            numbers = final_numbers(problem, how, selection, tolerance, block)
-            selection = selection._replace(recalibrated=numbers.recalibrated, final=numbers.final)
+            numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria.block)
         with _timed(seconds, "prove"):
-            guesses = (nominal, selection.recalibrated.estimate.guess, selection.final.estimate.guess)
-            whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
-            train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
-            test = validations_on_test(problem, setup, guesses, numbers.without, how.settings)
-            judgement = confirmed(judgement, test.improvement, test.relative)
+            whole, train, test = _validated(named, numbers, setup)
     return Discovery(
-        problem=problem,
-        signals=how.uncut,
+        problem=named.problem,
+        signals=named.how.uncut,
         estimation=whole,
-        selection=selection,
-        nameless=nameless,
-        judgement=judgement,
-        formula=told,
+        selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),
+        nameless=judged.nameless,
+        judgement=confirmed(judged.judgement, test.improvement, test.relative),
+        formula=judged.formula,
         location=location,
-        convention=convention,
+        convention=judged.convention,
         departures=numbers.departures,
         undetermined=numbers.undetermined,
         train=train,
@@ -155,6 +150,28 @@ def _elaborate(named: Named, setup: Setup, criteria: Criteria) -> bool:
     return left and len(setup.first_effects) < len(setup.effects)
 
 
+def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Judged:
+    """Nonparametric corrections beside the names, and the verdict on the estimation record."""
+    problem, how, known, nominal, selection = named
+    signals = partial(how.signals, effects=len(selection.final.estimate.active))
+    corrections = Corrections(problem, corrected, known, signals, how.settings)
+    nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
+    before = evaluate(problem, how.signals(problem, 0), nominal)
+    rms = (before.cost / selection.first.size) ** 0.5
+    convention = reading_convention(problem, selection.final)
+    judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
+    return Judged(nameless, judgement, _told(corrections, how, selection, judgement), convention)
+
+
+def _validated(named: Named, numbers: Numbers, setup: Setup) -> tuple[Record, Validations, Validations]:
+    """The estimation record uncut, and all models on it and on the test record."""
+    problem, how = named.problem, named.how
+    guesses = (named.nominal, numbers.recalibrated.estimate.guess, numbers.final.estimate.guess)
+    whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
+    train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
+    return whole, train, validations_on_test(problem, setup, guesses, numbers.without, how.settings)
+
+
 def _told(corrections: Corrections, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:
     """The formula of a correction without a name."""
     if judgement.unnamed is None:
@@ -167,8 +184,9 @@ def _told(corrections: Corrections, how: Scoring, selection: Selection, judgemen
     return formula(flexible, signals, screening, best, x[0])
 
 
-def _located(problem: Problem, how: Scoring, selection: Selection) -> Location:
+def _located(named: Named) -> Location:
     """The correction signal of the recalibrated physics on the first sequences."""
+    problem, how, selection = named.problem, named.how, named.selection
     record = how.signals(problem, 0)
     pieces = len(record.u) // len(how.uncut.u)  # segments of each sequence
     count = pieces * max(1, _LOCATED // pieces)
