@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Channel, RecordInfo
 
 from .case import Case, Catalogue, measured, rms, streams
-from .draws import resolved
+from .draws import SUB_STEPS, Draw, resolved
 from .noise import errors
 from .signals import Wave, command
 
-SUB_STEPS = 10
 HISTORY = 8  # samples before a record starts: what a delayed actuator still has to run
 _TRIES = 6
 Numbers = Mapping[str, Any]
@@ -28,36 +28,30 @@ Slope = Callable[[Numbers, np.ndarray, np.ndarray], np.ndarray]
 
 
 class Plant(NamedTuple):
-    """slope(numbers, x, v): dx/dt, of states `[x, record]` and inputs `[record]`; states after those of the base
-    physics belong to an effect; outputs: states that are measured;
-    speed: which state dry friction slows, if there is any; the state before it is its position;
-    draw: sizes of an effect by its name; shape: an input as a wave of deviation 1, mean: of the input; reach: 99.9 %
-    of the first output's readings lie within, on average over both records; lowest: that a state can have."""
+    """physics: the base physics by its nominal numbers, which says what it reads and measures, and how often.
+
+    spread: of the true numbers about the nominal ones. slope(numbers, x, v): dx/dt, of states `[x, record]` and inputs
+    `[record]`; states after those of the base physics belong to an effect. draws: sizes of an effect by its name.
+    shape: an input as a wave of deviation 1; size, mean: its deviation and mean. reach: 99.9 % of the first output's
+    readings lie within, on average over both records. measured: which states are; speed: which state dry friction
+    slows, if there is any; the state before it is its position. lowest: that a state can have."""
 
     name: str
-    catalogue: Catalogue
+    physics: Callable[..., Physics]
     nominal: Numbers
-    spread: float
+    catalogue: Catalogue
     slope: Slope
-    draw: Callable[[str, np.random.Generator], dict[str, Any]]
+    draws: Mapping[str, Draw]
     shape: Callable[[np.random.Generator, int], Wave]
     start: Callable[[np.random.Generator], list[float]]
-    inputs: tuple[Channel, ...]
-    outputs: tuple[Channel, ...]
-    measured: tuple[int, ...]
-    dt: float
     samples: int
     size: float
-    reach: float
     mean: float = 0.0
+    spread: float = 0.15
+    reach: float = np.inf
+    measured: tuple[int, ...] = (0,)
     speed: int | None = None
     lowest: float = -np.inf
-
-
-def driven_body(name: str, catalogue: Catalogue, nominal: Numbers, slope: Slope, **more: Any) -> Plant:
-    """A body under a force; its position is measured, and dry friction slows it."""
-    channels = {"inputs": (Channel("force", "N"),), "outputs": (Channel("position", "m"),)}
-    return Plant(name, catalogue, nominal, 0.15, slope, **channels, measured=(0,), speed=1, **more)
 
 
 def build(
@@ -74,7 +68,7 @@ def build(
     noise = plant.catalogue.noises[1] if noise is None else noise
     rng = streams(plant.name, seed, "plant effects input start noise process")
     own = {k: v * (1 + rng["plant"].uniform(-plant.spread, plant.spread)) for k, v in plant.nominal.items()}
-    draw = {k: v for name in truth for k, v in plant.draw(name, rng["effects"]).items()}
+    draw = {k: v for name in truth for k, v in plant.draws[name](rng["effects"]).items()}
     shapes = [plant.shape(rng["input"], plant.samples + HISTORY) for _ in range(2)]
     start = np.array([plant.start(rng["start"]) for _ in range(2)]).T
     u, sizes = _excited(plant, own, draw, shapes, start)
@@ -85,7 +79,9 @@ def build(
     at = reading(plant, truly, states)
     e = [errors(rng["noise"], noise_kind, noise, one) for record in at for one in record.T]
     noisy = reading(plant, truly, states, np.reshape(e, (2, len(plant.measured), -1)).swapaxes(1, 2))
-    info = RecordInfo(plant.inputs, plant.outputs, plant.dt, "simulated", f"{plant.name}, {seed}")
+    known = plant.physics(**plant.nominal)
+    inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (known.inputs, known.outputs))
+    info = RecordInfo(inputs, outputs, known.dt, "simulated", f"{plant.name}, {seed}")
     train, test = (measured(a[HISTORY:, None], b, info) for a, b in zip(u, noisy, strict=True))
     without = reading(plant, own, simulate(plant, own, u, start, none, 2)) if truth else clean
     return Case(
@@ -141,7 +137,7 @@ def simulate(
     plant: Plant, numbers: Numbers, u: np.ndarray, start: np.ndarray, w: np.ndarray, sub_steps: int = SUB_STEPS
 ) -> np.ndarray:
     """States `[record, time, x]` after each sample of records that start HISTORY samples after u does."""
-    h, dry = plant.dt / sub_steps, numbers.get("dry", 0.0)
+    h, dry = plant.physics(**plant.nominal).dt / sub_steps, numbers.get("dry", 0.0)
     late = [command(one, SUB_STEPS, numbers.get("delay", 0.0), numbers.get("lag", 0.0), 0) for one in u]
     moved = _played(np.array(late), numbers.get("u_play", 0.0))[:, HISTORY * SUB_STEPS :]
     v = moved.reshape(2, -1, SUB_STEPS).reshape(2, -1, sub_steps, SUB_STEPS // sub_steps).mean(-1)

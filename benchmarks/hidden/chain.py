@@ -14,13 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records.record import Channel
 
 from . import bench
 from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import Quantile, either_sign, uniform
-from .signals import Wave, low_pass, random_steps, standard
+from .draws import COMMON, Draw, either_sign, uniform
+from .signals import Wave, smooth_steps
 
 CATALOGUE = Catalogue(
     acts_on={
@@ -75,16 +74,12 @@ def _at(vessel: int, value: float) -> np.ndarray:
     return value * np.eye(5)[vessel]
 
 
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "leak": lambda: {"leak": _at(int(rng.choice([1, 3])), uniform(rng, 0.004, 0.015))},
-        "inflow": lambda: {"inflow": _at(3, either_sign(rng, 0.01, 0.03))},
-        "input_offset": lambda: {"u_offset": either_sign(rng, 0.01, 0.03)},
-        "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-        "sensor_offset": lambda: {"y_offset": _one_of_two(rng, either_sign(rng, 0.1, 0.4))},
-        "sensor_saturation": lambda: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
-    }[name]()
+_DRAWS: dict[str, Draw] = COMMON | {
+    "leak": lambda rng: {"leak": _at(int(rng.choice([1, 3])), uniform(rng, 0.004, 0.015))},
+    "inflow": lambda rng: {"inflow": _at(3, either_sign(rng, 0.01, 0.03))},
+    "input_offset": lambda rng: {"u_offset": either_sign(rng, 0.01, 0.03)},
+    "sensor_offset": lambda rng: {"y_offset": _one_of_two(rng, either_sign(rng, 0.1, 0.4))},
+}
 
 
 def _one_of_two(rng: np.random.Generator, value: float) -> np.ndarray:
@@ -93,26 +88,23 @@ def _one_of_two(rng: np.random.Generator, value: float) -> np.ndarray:
 
 def _shape(rng: np.random.Generator, n: int) -> Wave:
     """Between -1.6 and 1.6, so that something always flows."""
-    return np.clip(standard(low_pass(random_steps(rng, n, 15, 60), 4.0)), -1.6, 1.6)
+    return np.clip(smooth_steps(rng, n, 15, 60, 4.0), -1.6, 1.6)
 
 
 PLANT = Plant(
     "chain",
-    CATALOGUE,
+    chain,
     NOMINAL,
-    0.12,
+    CATALOGUE,
     _slope,
-    _draw,
+    _DRAWS,
     _shape,
     start=lambda rng: rng.uniform(1.5, 3.0, 5).tolist(),
-    inputs=(Channel("inflow", "m/s"),),
-    outputs=(Channel("level_3", "m"), Channel("level_5", "m")),
-    measured=(2, 4),
-    dt=_DT,
     samples=900,
     size=0.055,
-    reach=np.inf,
     mean=0.15,
+    spread=0.12,
+    measured=(2, 4),
     lowest=0.0,
 )
 build = partial(bench.build, PLANT)

@@ -16,13 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records.record import Channel
 
 from . import bench
 from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import Quantile, either_sign, uniform
-from .signals import Wave, low_pass, random_steps, standard
+from .draws import COMMON, Draw, either_sign, uniform
+from .signals import Wave, smooth_steps
 
 CATALOGUE = Catalogue(
     acts_on={
@@ -80,39 +79,30 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.stack([i / n["C"] - n.get("leak", 0.0) * v, (u - _RESISTANCE * i - v) * softer / n["L"]])
 
 
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "input_offset": lambda: {"u_offset": either_sign(rng, 0.3, 1.0)},
-        "sensor_offset": lambda: {"y_offset": either_sign(rng, 0.3, 1.0)},
-        "sensor_gain": lambda: {"y_gain": 1 + either_sign(rng, 0.06, 0.2)},
-        "leak": lambda: {"leak": uniform(rng, 15.0, 60.0)},
-        "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
-        "input_dead_zone": lambda: {"u_dead": uniform(rng, 0.2, 0.8)},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-        "sensor_saturation": lambda: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
-        "coil_saturation": lambda: {"i_top": uniform(rng, 0.2, 0.4)},
-    }[name]()
+_DRAWS: dict[str, Draw] = COMMON | {
+    "input_offset": lambda rng: {"u_offset": either_sign(rng, 0.3, 1.0)},
+    "sensor_offset": lambda rng: {"y_offset": either_sign(rng, 0.3, 1.0)},
+    "sensor_gain": lambda rng: {"y_gain": 1 + either_sign(rng, 0.06, 0.2)},
+    "leak": lambda rng: {"leak": uniform(rng, 15.0, 60.0)},
+    "input_dead_zone": lambda rng: {"u_dead": uniform(rng, 0.2, 0.8)},
+    "coil_saturation": lambda rng: {"i_top": uniform(rng, 0.2, 0.4)},
+}
 
 
 def _shape(rng: np.random.Generator, n: int) -> Wave:
-    return standard(low_pass(random_steps(rng, n, 5, 30), 4.0))
+    return smooth_steps(rng, n, 5, 30, 4.0)
 
 
 PLANT = Plant(
     "circuit",
-    CATALOGUE,
+    circuit,
     NOMINAL,
-    0.15,
+    CATALOGUE,
     _slope,
-    _draw,
+    _DRAWS,
     _shape,
     start=lambda rng: rng.normal(0, [1.0, 0.1]).tolist(),
-    inputs=(Channel("source", "V"),),
-    outputs=(Channel("voltage", "V"),),
-    measured=(0,),
-    dt=_DT,
     samples=900,
     size=3.0,
-    reach=np.inf,
 )
 build = partial(bench.build, PLANT)

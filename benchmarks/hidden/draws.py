@@ -3,10 +3,12 @@
 threshold = quantile_q(signal)
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+
+SUB_STEPS = 10  # per sample, of which a delay is a whole number
 
 
 class Quantile(NamedTuple):
@@ -26,6 +28,14 @@ def uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 def either_sign(rng: np.random.Generator, low: float, high: float) -> float:
     return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
+
+
+Draw = Callable[[np.random.Generator], dict[str, Any]]
+COMMON: dict[str, Draw] = {  # what any actuator and sensor may have; a delay of one sample is a convention of reading
+    "input_saturation": lambda rng: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
+    "input_delay": lambda rng: {"delay": round(uniform(rng, 1.4, 3.5) * SUB_STEPS) / SUB_STEPS},
+    "sensor_saturation": lambda rng: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
+}
 
 
 def resolved(draw: Mapping[str, Any], signals: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -18,12 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records.record import Channel
 
 from . import bench
 from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import either_sign, uniform
+from .draws import COMMON, Draw, either_sign, uniform
 from .signals import Wave, low_pass, random_steps
 
 CATALOGUE = Catalogue(
@@ -84,16 +83,14 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.stack([w1, (u - n["f"] * w1 - shaft) / n["j1"], w2, shaft / n["j2"] - fan])
 
 
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "backlash": lambda: {"u_play": _TORQUE * uniform(rng, 0.05, 0.2)},
-        "coulomb_friction": lambda: {"dry": uniform(rng, 0.1, 0.4) * _TORQUE / NOMINAL["j1"]},
-        "quadratic_drag": lambda: {"drag": uniform(rng, 0.3, 1.2)},
-        "input_dead_zone": lambda: {"u_dead": _TORQUE * uniform(rng, 0.12, 0.4)},
-        "input_offset": lambda: {"u_offset": _TORQUE * either_sign(rng, 0.02, 0.06)},
-        "sensor_offset": lambda: {"y_offset": np.array([0.0, either_sign(rng, 0.03, 0.1)])},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-    }[name]()
+_DRAWS: dict[str, Draw] = COMMON | {
+    "backlash": lambda rng: {"u_play": _TORQUE * uniform(rng, 0.05, 0.2)},
+    "coulomb_friction": lambda rng: {"dry": uniform(rng, 0.1, 0.4) * _TORQUE / NOMINAL["j1"]},
+    "quadratic_drag": lambda rng: {"drag": uniform(rng, 0.3, 1.2)},
+    "input_dead_zone": lambda rng: {"u_dead": _TORQUE * uniform(rng, 0.12, 0.4)},
+    "input_offset": lambda rng: {"u_offset": _TORQUE * either_sign(rng, 0.02, 0.06)},
+    "sensor_offset": lambda rng: {"y_offset": np.array([0.0, either_sign(rng, 0.03, 0.1)])},
+}
 
 
 def _shape(rng: np.random.Generator, n: int) -> Wave:
@@ -109,20 +106,16 @@ def _shape(rng: np.random.Generator, n: int) -> Wave:
 
 PLANT = Plant(
     "drive",
-    CATALOGUE,
+    drive,
     NOMINAL,
-    0.15,
+    CATALOGUE,
     _slope,
-    _draw,
+    _DRAWS,
     _shape,
     start=lambda rng: 2 * rng.normal(0, [0.2, 0.1]).tolist(),  # the shaft is not twisted
-    inputs=(Channel("torque", "Nm"),),
-    outputs=(Channel("motor_angle", "rad"), Channel("load_angle", "rad")),
-    measured=(0, 2),
-    dt=_DT,
     samples=900,
     size=_TORQUE,
-    reach=np.inf,
+    measured=(0, 2),
     speed=1,
 )
 build = partial(bench.build, PLANT)

@@ -16,10 +16,10 @@ import numpy as np
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
 
 from . import bench
-from .bench import Numbers
+from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import Quantile, either_sign, uniform
-from .signals import Wave, low_pass, random_steps, standard
+from .draws import COMMON, Draw, either_sign, uniform
+from .signals import Wave, smooth_steps
 
 _CONSTANT = ("input_offset", "constant_force", "sensor_offset")
 CATALOGUE = Catalogue(
@@ -65,40 +65,37 @@ def duffing(m: float, c: float, k: float) -> Physics:
     )
 
 
-def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+def slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     q, v = x
     own = (u - n["c"] * v - n["k"] * q) / n["m"]
     return np.stack([v, own - n.get("cubic", 0.0) * q**3 - n.get("drag", 0.0) * np.abs(v) * v])
 
 
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "cubic_spring": lambda: {"cubic": uniform(rng, 1.0, 4.0) if rng.random() < 0.6 else -uniform(rng, 0.3, 0.7)},
-        "quadratic_drag": lambda: {"drag": uniform(rng, 0.2, 0.8)},
-        "coulomb_friction": lambda: {"dry": uniform(rng, 0.15, 0.6)},
-        "input_offset": lambda: {"u_offset": either_sign(rng, 0.3, 1.0)},
-        "sensor_offset": lambda: {"y_offset": either_sign(rng, 0.08, 0.25)},
-        "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-        "sensor_saturation": lambda: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
-    }[name]()
+_DRAWS: dict[str, Draw] = COMMON | {
+    "cubic_spring": lambda rng: {"cubic": uniform(rng, 1.0, 4.0) if rng.random() < 0.6 else -uniform(rng, 0.3, 0.7)},
+    "quadratic_drag": lambda rng: {"drag": uniform(rng, 0.2, 0.8)},
+    "coulomb_friction": lambda rng: {"dry": uniform(rng, 0.15, 0.6)},
+    "input_offset": lambda rng: {"u_offset": either_sign(rng, 0.3, 1.0)},
+    "sensor_offset": lambda rng: {"y_offset": either_sign(rng, 0.08, 0.25)},
+}
 
 
-def _shape(rng: np.random.Generator, n: int) -> Wave:
-    return standard(low_pass(random_steps(rng, n, 5, 30), 4.0))
+def shape(rng: np.random.Generator, n: int) -> Wave:
+    return smooth_steps(rng, n, 5, 30, 4.0)
 
 
-PLANT = bench.driven_body(
+PLANT = Plant(
     "duffing",
-    CATALOGUE,
+    duffing,
     NOMINAL,
-    _slope,
-    draw=_draw,
-    shape=_shape,
+    CATALOGUE,
+    slope,
+    _DRAWS,
+    shape,
     start=lambda rng: rng.normal(0, [0.2, 0.3]).tolist(),
-    dt=_DT,
     samples=800,
     size=1.5,
     reach=1.2,
+    speed=1,
 )
 build = partial(bench.build, PLANT)

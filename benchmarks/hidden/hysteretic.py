@@ -10,19 +10,13 @@ Source of the element: Ikhouane, Rodellar, Systems with Hysteresis, 2007.
 """
 
 from functools import partial
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-
-from . import bench
-from .bench import Numbers
+from . import bench, duffing
+from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import Quantile, either_sign, uniform
-from .signals import Wave, low_pass, random_steps, standard
+from .draws import COMMON, Draw, either_sign, uniform
 
 CATALOGUE = Catalogue(
     acts_on={
@@ -38,52 +32,13 @@ CATALOGUE = Catalogue(
     identical={"input_offset": ("constant_force", "sensor_offset")},
     family={"hysteresis": ("coulomb_friction", "stribeck_friction", "linear_spring", "backlash")},
 )
-NOMINAL = {"m": 1.0, "c": 0.4, "k": 4.0}  # kg, N s/m, N/m
-_DT = 0.05  # s
-
-
-def hysteretic(m: float, c: float, k: float) -> Physics:
-    """The base physics: what its owner knows of it."""
-
-    def derivative(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        q, v = x
-        return jnp.stack([v, (u[0] - p["c"] * v - p["k"] * q) / p["m"]])
-
-    return continuous(
-        "isolator",
-        derivative,
-        lambda p, x, u: x[:1],
-        {"m": m, "c": c, "k": k},
-        parameters={
-            "m": Parameter("m", "kg", bounds=(0.05, 20.0)),
-            "c": Parameter("c", "N s/m", bounds=(0.0, 20.0)),
-            "k": Parameter("k", "N/m", bounds=(0.0, 100.0)),
-        },
-        states=(Signal("position", "m", like="position"), Signal("velocity", "m/s", rate_of="position")),
-        inputs=(Signal("force", "N"),),
-        outputs=(Signal("position", "m"),),
-        dt=_DT,
-    )
 
 
 def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    q, v, z = x
-    own = (u - n["c"] * v - n["k"] * q - n.get("alpha", 0.0) * z) / n["m"]
+    v, z = x[1:]
     bent = n.get("beta", 0.0) * np.abs(v) * np.sign(z) + n.get("gamma", 0.0) * v
     dz = v - bent * np.abs(z) ** n.get("n", 1.0)
-    return np.stack([v, own - n.get("cubic", 0.0) * q**3 - n.get("drag", 0.0) * np.abs(v) * v, dz])
-
-
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "hysteresis": lambda: _element(rng),
-        "cubic_spring": lambda: {"cubic": uniform(rng, 1.0, 4.0) if rng.random() < 0.6 else -uniform(rng, 0.75, 0.95)},
-        "quadratic_drag": lambda: {"drag": uniform(rng, 0.25, 0.8)},
-        "input_offset": lambda: {"u_offset": either_sign(rng, 0.3, 1.0)},
-        "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-        "sensor_saturation": lambda: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
-    }[name]()
+    return np.stack([*duffing.slope(n, x[:2], u - n.get("alpha", 0.0) * z), dz])
 
 
 def _element(rng: np.random.Generator) -> dict[str, float]:
@@ -97,19 +52,22 @@ def _element(rng: np.random.Generator) -> dict[str, float]:
     return {"alpha": force / top, "beta": share * top**-n, "gamma": (1 - share) * top**-n, "n": n}
 
 
-def _shape(rng: np.random.Generator, n: int) -> Wave:
-    return standard(low_pass(random_steps(rng, n, 5, 30), 4.0))
+_DRAWS: dict[str, Draw] = COMMON | {
+    "hysteresis": _element,
+    "cubic_spring": lambda rng: {"cubic": uniform(rng, 1.0, 4.0) if rng.random() < 0.6 else -uniform(rng, 0.75, 0.95)},
+    "quadratic_drag": lambda rng: {"drag": uniform(rng, 0.25, 0.8)},
+    "input_offset": lambda rng: {"u_offset": either_sign(rng, 0.3, 1.0)},
+}
 
-
-PLANT = bench.driven_body(
+PLANT = Plant(
     "hysteretic",
+    duffing.duffing,
+    duffing.NOMINAL,
     CATALOGUE,
-    NOMINAL,
     _slope,
-    draw=_draw,
-    shape=_shape,
+    _DRAWS,
+    duffing.shape,
     start=lambda rng: [*rng.normal(0, [0.2, 0.3]).tolist(), 0.0],
-    dt=_DT,
     samples=800,
     size=1.0,
     reach=1.2,

@@ -13,15 +13,8 @@ from .rig import REFERENCE_LEVEL
 # True numbers by the names that the nominal physics has for them; a linear system's depend on its coordinates.
 _NAMES = {"pendulum": {"l": "length", "d": "damping"}}
 _NOT_COMPARED = ("lgssm", "arm")
-USERS = {
-    "pendulum": pendulum.pendulum,
-    "servo": servo.servo,
-    "duffing": duffing.duffing,
-    "chain": chain.chain,
-    "hysteretic": hysteretic.hysteretic,
-    "drive": drive.drive,
-    "circuit": circuit.circuit,
-    "reactor": reactor.reactor,
+USERS = {"pendulum": pendulum.pendulum} | {
+    module.PLANT.name: module.PLANT.physics for module in (servo, duffing, chain, hysteretic, drive, circuit, reactor)
 }
 
 

@@ -21,7 +21,7 @@ from .case import Case, Catalogue, measured, rms, streams
 from .draws import Quantile, either_sign, resolved, uniform
 from .noise import errors
 from .pendulum_plant import GRAVITY, HISTORY, SAMPLE_TIME, SUB_STEPS, Plant, reading, swing
-from .signals import low_pass, random_steps, standard
+from .signals import smooth_steps
 
 CATALOGUE = Catalogue(
     acts_on={
@@ -78,7 +78,7 @@ def build(
     )
     draw = {k: v for name in truth for k, v in _draw(name, rng["effects"]).items()}
     both_sides = draw.pop("both_sides", False)
-    shapes = [standard(low_pass(random_steps(rng["input"], SAMPLES + HISTORY, 5, 30), 4.0)) for _ in range(2)]
+    shapes = [smooth_steps(rng["input"], SAMPLES + HISTORY, 5, 30, 4.0) for _ in range(2)]
     starts = [tuple(rng["start"].normal(0, [0.2, 0.3]).tolist()) for _ in range(2)]
     size, inputs, angles = 2.0, shapes, shapes
     for _ in range(8):

@@ -16,13 +16,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.records.record import Channel
 
 from . import bench
 from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import Quantile, either_sign, uniform
-from .signals import Wave, low_pass, random_steps, standard
+from .draws import COMMON, Draw, either_sign, uniform
+from .signals import Wave, smooth_steps
 
 # at temperatures that vary by 1 or 2 %, all of these are a constant, but for a tenth of the noise
 _CONSTANT = ("inflow", "input_dead_zone", "input_gain", "sensor_gain", "leak", "power_law")
@@ -84,39 +83,32 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.stack([_FLOW * (_FEED - c) - rate, heat])
 
 
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "input_offset": lambda: {"u_offset": either_sign(rng, 2.5, 3.0)},
-        "sensor_offset": lambda: {"y_offset": either_sign(rng, 2.5, 3.0)},
-        "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-        "input_lag": lambda: {"lag": uniform(rng, 2.0, 8.0)},
-        "sensor_saturation": lambda: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
-    }[name]()
+_DRAWS: dict[str, Draw] = COMMON | {
+    "input_offset": lambda rng: {"u_offset": either_sign(rng, 2.5, 3.0)},
+    "sensor_offset": lambda rng: {"y_offset": either_sign(rng, 2.5, 3.0)},
+    "input_lag": lambda rng: {"lag": uniform(rng, 2.0, 8.0)},
+}
 
 
 def _shape(rng: np.random.Generator, n: int) -> Wave:
     """Between -2 and 2, so that the reaction does not ignite."""
-    return np.clip(standard(low_pass(random_steps(rng, n, 8, 40), 3.0)), -2.0, 2.0)
+    return np.clip(smooth_steps(rng, n, 8, 40, 3.0), -2.0, 2.0)
 
 
 PLANT = Plant(
     "reactor",
-    CATALOGUE,
+    reactor,
     NOMINAL,
-    0.10,
+    CATALOGUE,
     _slope,
-    _draw,
+    _DRAWS,
     _shape,
     start=lambda rng: [float(rng.uniform(0.85, 0.95)), float(rng.uniform(315.0, 322.0))],
-    inputs=(Channel("coolant", "K"),),
-    outputs=(Channel("temperature", "K"),),
-    measured=(1,),
-    dt=_DT,
     samples=900,
     size=4.0,
-    reach=np.inf,
     mean=297.0,
+    spread=0.10,
+    measured=(1,),
     lowest=0.0,
 )
 build = partial(bench.build, PLANT)

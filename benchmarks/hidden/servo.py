@@ -17,9 +17,9 @@ import numpy as np
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
 
 from . import bench
-from .bench import Numbers
+from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import Quantile, either_sign, uniform
+from .draws import COMMON, Draw, Quantile, either_sign, uniform
 from .signals import Wave, low_pass, random_steps
 
 CATALOGUE = Catalogue(
@@ -66,15 +66,13 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return np.stack([v, (u - n["f"] * v) / n["m"] - n.get("drag", 0.0) * np.abs(v) * v])
 
 
-def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    return {
-        "coulomb_friction": lambda: {"dry": uniform(rng, 0.1, 0.3)},
-        "quadratic_drag": lambda: {"drag": uniform(rng, 1.5, 6.0)},
-        "input_offset": lambda: {"u_offset": either_sign(rng, 4.0, 15.0)},
-        "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.75, 0.90), "input")},
-        "input_dead_zone": lambda: {"u_dead": uniform(rng, 5.0, 20.0)},
-        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * bench.SUB_STEPS) / bench.SUB_STEPS},
-    }[name]()
+_DRAWS: dict[str, Draw] = COMMON | {
+    "coulomb_friction": lambda rng: {"dry": uniform(rng, 0.1, 0.3)},
+    "quadratic_drag": lambda rng: {"drag": uniform(rng, 1.5, 6.0)},
+    "input_offset": lambda rng: {"u_offset": either_sign(rng, 4.0, 15.0)},
+    "input_saturation": lambda rng: {"u_top": Quantile(uniform(rng, 0.75, 0.90), "input")},
+    "input_dead_zone": lambda rng: {"u_dead": uniform(rng, 5.0, 20.0)},
+}
 
 
 def _shape(rng: np.random.Generator, n: int) -> Wave:
@@ -87,17 +85,18 @@ def _shape(rng: np.random.Generator, n: int) -> Wave:
     return force / force.std()
 
 
-PLANT = bench.driven_body(
+PLANT = Plant(
     "servo",
-    CATALOGUE,
+    servo,
     NOMINAL,
+    CATALOGUE,
     _slope,
-    draw=_draw,
-    shape=_shape,
+    _DRAWS,
+    _shape,
     start=lambda rng: rng.normal(0, [0.05, 0.02]).tolist(),
-    dt=_DT,
     samples=1000,
     size=60.0,
     reach=0.25,
+    speed=1,
 )
 build = partial(bench.build, PLANT)

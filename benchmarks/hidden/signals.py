@@ -26,6 +26,10 @@ def random_steps(rng: np.random.Generator, n: int, shortest: int, longest: int) 
     return standard(np.repeat(rng.uniform(-1, 1, len(spans)), spans)[:n])
 
 
+def smooth_steps(rng: np.random.Generator, n: int, shortest: int, longest: int, lag: float) -> Wave:
+    return standard(low_pass(random_steps(rng, n, shortest, longest), lag))
+
+
 def low_pass(wave: Wave, lag: float) -> Wave:
     return lfilter([1 / lag], [1, 1 / lag - 1], wave)
 

@@ -17,7 +17,7 @@ from .case import Case, measured, rms, streams
 from .draws import Quantile, resolved
 from .noise import errors
 from .rig import HISTORY, REFERENCE_LEVEL, SAMPLE_TIME, Rig, Wave, flow, levels, reading
-from .signals import low_pass, multisine, random_steps, standard
+from .signals import multisine, smooth_steps
 
 CATALOGUE = tanks_effects.CATALOGUE
 SAMPLES = 1024
@@ -97,7 +97,7 @@ def _shapes(rng: np.random.Generator, fast: bool) -> list[Wave]:
     n, steps = SAMPLES + HISTORY, rng.random() < 0.5
     if steps:
         spans, lag = ((8, 35), 3.0) if fast else ((20, 90), 6.0)
-        return [standard(low_pass(random_steps(rng, n, *spans), lag)) for _ in range(2)]
+        return [smooth_steps(rng, n, *spans, lag) for _ in range(2)]
     strong = int(rng.integers(25, 45) if fast else rng.integers(12, 25))
     return [multisine(rng, n, strong, 60) for _ in range(2)]
 

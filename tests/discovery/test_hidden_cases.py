@@ -114,7 +114,7 @@ def test_an_element_with_hysteresis_loses_energy_and_stays_bounded():
     sizes = hysteretic.build(2, ("hysteresis",), noise=0.0).magnitudes
     q = 0.5 * np.sin(np.linspace(0.0, 4.0 * np.pi, 20_001))
     z = np.zeros_like(q)
-    own = {**hysteretic.NOMINAL, **sizes}
+    own = {**hysteretic.PLANT.nominal, **sizes}
     for t in range(1, len(q)):
         x = np.array([[q[t - 1]], [q[t] - q[t - 1]], [z[t - 1]]])
         z[t] = z[t - 1] + hysteretic.PLANT.slope(own, x, np.zeros(1))[2, 0]
