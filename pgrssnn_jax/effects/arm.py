@@ -1,7 +1,7 @@
 """The effects that a model of a robot arm may lack: torques (`arm_torques.py`), and here on what an arm moves, on its
 joints once a step is done, and on how they are read.
 
-    payload                point mass m, kg, at d m outwards from the tip along the last joint's axis
+    payload                point mass m, kg, at d m outwards from the tip along the last joint's axis, x and y across it
     rotor_inertia          J kg m² on the motor side, felt as J G² by the links
     gravity_direction      base tilted by R = Ry(β) Rx(α): in the axes of the base gravity is Rᵀ g
     joint_limit            q ← min(max(q, q_low), q_high);   q̇ ← 0 where a joint at its stop moves into it
@@ -49,16 +49,22 @@ def mass_effects(n: int) -> tuple[Effect, ...]:
             None,
             "payload",
             "masses",
-            lambda n, own, extra: extra._replace(payload=jnp.stack([n["mass"], n["distance"]])),
+            lambda n, own, extra: extra._replace(payload=jnp.stack([n[k] for k in ("mass", "distance", "x", "y")])),
             {
                 "mass": Parameter("m", "kg", bounds=(0.0, INFINITE), neutral=0.0),
-                "distance": Parameter("d", "m", bounds=(-2.0, 2.0), neutral=0.0),
+                **{
+                    key: Parameter(symbol, "m", bounds=(-2.0, 2.0), neutral=0.0)
+                    for key, symbol in (("distance", "d"), ("x", "x"), ("y", "y"))
+                },
             },
             title="Payload",
-            equation="m at d from the tip along the last joint's axis",
+            equation="m at d from the tip along the last joint's axis, x and y across it",
             cause="the arm carries a load that its description does not have",
             # a mass at a wrong distance would look like another mass and no inertia
-            initial_guesses=lambda span: [{"mass": np.asarray(1.0), "distance": np.asarray(d)} for d in (0.1, 0.4)],
+            initial_guesses=lambda span: [
+                {"mass": np.ones(()), "distance": np.full((), d), "x": np.zeros(()), "y": np.zeros(())}
+                for d in (0.1, 0.4)
+            ],
         ),
         arm_effect(
             n,
@@ -179,26 +185,16 @@ def joint_limit(n: int) -> Effect:
 
 
 def home_offset(n: int) -> Effect:
-    """The state holds what the encoders read, so that a record says where a run starts whatever the offset."""
-    name = "home_offset"
-
-    def wrap(physics: Physics) -> Physics:
-        def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-            shift = jnp.zeros_like(x).at[:n].set(jnp.asarray(p.effects[name]["offset"], x.dtype))
-            return physics.step(p, x - shift, u) + shift
-
-        return physics._replace(step=step)
-
-    return Effect(
-        name,
+    """The state holds what the encoders read, so that a record says where a run starts whatever the offset. Limits and
+    stops are places of the encoders too."""
+    return arm_effect(
+        n,
+        "home_offset",
+        "position",
+        lambda n, own, q, reading: q - n["offset"],
         {"offset": Parameter("b", "rad", bounds=(-np.pi, np.pi), neutral=0.0)},
-        wrap,
         title="Zero of the encoders",
         equation="y = q + b",
         cause="the position at which an encoder reads zero is not the one of the description",
         acts_on="measurement",
-        shapes={"offset": (n,)},
-        initial_guesses=lambda span: [{"offset": np.zeros(n)}],
-        needs=an_arm(n),
-        channels="joint",
     )

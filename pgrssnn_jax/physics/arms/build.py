@@ -120,7 +120,8 @@ def arm(
     def assemble(points: ArmPoints) -> tuple[Step, Measure]:
         def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
             """d[q, q̇]/dt."""
-            q, v = jnp.split(x, 2)
+            reading, v = jnp.split(x, 2)
+            q = points.position(p, reading)
             extra = points.masses(p) if points.masses else Extra()
             return jnp.concatenate([v, accelerations(q, v, points.torque(p, q, v, points.drive(p, u)), extra)])
 
@@ -129,7 +130,7 @@ def arm(
         return step, points.measure
 
     numbered = ", ".join(f"{i} {name}" for i, name in enumerate(tables.joints, 1))
-    points = own_points(tables.gravity, masses=backend == "jax", measured=measured)
+    points = own_points(tables, masses=backend == "jax", measured=measured)
     physics = discrete(
         "arm",
         *assemble(points),

@@ -35,7 +35,8 @@ Batch = Float[jax.Array, "n batch"]
 class Extra(NamedTuple):
     """What an arm has besides its tables, or in their place; None where there is nothing.
 
-    payload: a point mass, kg, and its distance outwards from the tip along the last joint's axis, m; rotor: armature
+    payload: a point mass, kg, its distance outwards from the tip along the last joint's axis, and its place across it
+    along x and y of the last joint's frame, m, `[4]`; rotor: armature
     beside the tables', kg m² on the link side, `[n]`; gravity: in place of the tables', m/s², `[3]`. With these the
     tables are no constants of the compiled program any more.
     """
@@ -47,7 +48,7 @@ class Extra(NamedTuple):
 
 class World(NamedTuple):
     """axes: motion of a unit velocity of every joint, S_i, 6 components; inertias of the links; all at the origin.
-    point: where the payload is, 3 components `[1, batch]`, m."""
+    point: where the payload is, m, and how it moves by each number of its place, 4 · 3 components `[1, batch]`."""
 
     axes: Vector
     inertias: Inertias
@@ -127,13 +128,15 @@ def world_at(chain: Chain, q: Batch, extra: Extra) -> World:
     if extra.payload is None:
         return found
     tip = [p[a][-1:] + sum(rotation[a][k][-1:] * float(tables.tip[k]) for k in range(3)) for a in range(3)]
-    return _loaded(chain, found, tip, extra.payload)
+    along = [chain.outwards * rotation[a][2][-1:] for a in range(3)]
+    across = [[rotation[a][k][-1:] for a in range(3)] for k in range(2)]
+    return _loaded(chain, found, tip, [along, *across], extra.payload)
 
 
-def _loaded(chain: Chain, world: World, tip: Vector, payload: jax.Array) -> World:
+def _loaded(chain: Chain, world: World, tip: Vector, directions: list[Vector], payload: jax.Array) -> World:
     """The last link carries a point mass μ at r: mass μ, first moment μ r, second moment μ (|r|² 1 - r rᵀ)."""
-    heavy, distance = payload[:1], payload[1:]
-    r = plus(tip, scale(chain.outwards * distance, [s[-1:] for s in world.axes[:3]]))
+    heavy = payload[:1]
+    r = plus(tip, *(scale(payload[k : k + 1], d) for k, d in enumerate(directions, 1)))
     squares = [c * c for c in r]
     inner = [squares[1] + squares[2], squares[0] + squares[2], squares[0] + squares[1]]
     mixed = [-r[0] * r[1], -r[0] * r[2], -r[1] * r[2]]
@@ -141,7 +144,7 @@ def _loaded(chain: Chain, world: World, tip: Vector, payload: jax.Array) -> Worl
     mass, first, second = world.inertias
     return world._replace(
         inertias=Inertias(mass + on_last, plus(first, scale(on_last, r)), plus(second, scale(on_last, inner + mixed))),
-        point=r,
+        point=[*r, *(part for direction in directions for part in direction)],
     )
 
 
@@ -183,11 +186,18 @@ def _combine(weights: np.ndarray, columns: list[jax.Array]) -> jax.Array:
     return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(columns[0])
 
 
-def bias(chain: Chain, world: World, v: Batch, extra: Extra) -> Batch:
-    """h(q, q̇), the torque without acceleration, by Newton-Euler."""
+def torques(chain: Chain, world: World, v: Batch, a: Batch, extra: Extra) -> Batch:
+    """τ = M(q) q̈ + h(q, q̇)."""
+    rotor = 0.0 if extra.rotor is None else extra.rotor
+    return bias(chain, world, v, extra, a) + (chain.column(chain.tables.armature, a) + rotor) * a
+
+
+def bias(chain: Chain, world: World, v: Batch, extra: Extra, a: Batch | None = None) -> Batch:
+    """h(q, q̇), the torque without acceleration, by Newton-Euler; with the torque that the links take at q̈ = a."""
     own = scale(v, world.axes)
     velocity = list(chain.towards_tips(jnp.stack(own)))
     gain = motion_cross(velocity, own)
+    gain = gain if a is None else plus(gain, scale(a, world.axes))
     acceleration = with_gravity(chain, chain.towards_tips(jnp.stack(gain)), extra)
     force = plus(momentum(world.inertias, acceleration), force_cross(velocity, momentum(world.inertias, velocity)))
     return dot(world.axes, list(chain.towards_base(jnp.stack(force))))

@@ -1,7 +1,9 @@
 """What the step of an arm is made of, so that effects may enter it.
 
     τ  = torque(q, q̇, drive(u))               own: drive G u, then τ = drive - G² B q̇ - |G| Tc sign(q̇) + θ
-    M(q) q̈ + h(q, q̇) = τ                      masses: what the arm has besides its tables, or in their place
+    q  = position(reading)                     own: the reading
+    M(q) q̈ + h(q, q̇) = τ                      inverse: the left side; masses: what the arm has besides its tables,
+                                               or in their place
     q, q̇ ← stop(q, q̇)                         once the step is done and limited; own: nothing
     q̇_t ← disturbance(q̇_{t-1}, q̇_t)           own: q̇_t + S q̇_{t-1}
     y  = measure(q, q̇, u)                      own: q
@@ -17,7 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.chain import Batch, Chain, Extra, torques, world_at
+from pgrssnn_jax.physics.arms.tables import ArmTables
 
 Joints = Float[jax.Array, " n"]
 State = Float[jax.Array, " x"]
@@ -27,29 +30,41 @@ class ArmPoints(NamedTuple):
     """Extension points of an arm. p: the physics' params in the precision of the state; x = [q, q̇].
 
     drive(p, u) -> Nm: torque of the motors on the link side; torque(p, q, q̇, drive) -> Nm: with all others on the link
-    side; masses(p) -> Extra, None where the moving masses are those of the tables whatever an effect says (Pinocchio);
-    stop(p, x) -> x; disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. gravity: of the tables, m/s², `[3]`.
+    side; position(p, reading) -> rad, where the state holds what encoders read; masses(p) -> Extra, None where the
+    moving masses are those of the tables whatever an effect says (Pinocchio); inverse(p, q, q̇, q̈, extra) -> Nm that a
+    motion takes on the link side, for many samples at once `[n, batch]`; stop(p, x) -> x;
+    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. gravity: of the tables, m/s², `[3]`.
     """
 
     drive: Callable[[Any, Joints], Joints]
     torque: Callable[[Any, Joints, Joints, Joints], Joints]
+    position: Callable[[Any, Joints], Joints]
     masses: Callable[[Any], Extra] | None
+    inverse: Callable[[Any, Batch, Batch, Batch, Extra], Batch]
     stop: Callable[[Any, State], State]
     disturbance: Callable[[Any, State, State], State]
     measure: Callable[[Any, State, Joints], Joints]
     gravity: Float[np.ndarray, "3"]
 
 
-def own_points(gravity: Float[np.ndarray, "3"], *, masses: bool, measured: bool) -> ArmPoints:
+def own_points(tables: ArmTables, *, masses: bool, measured: bool) -> ArmPoints:
     """The points of an arm without effects. masses: may effects change them? measured: false for y = 0."""
+    chain = Chain(tables)
+
+    def inverse(p: Any, q: Batch, v: Batch, a: Batch, extra: Extra) -> Batch:
+        of_all = jax.tree.map(lambda number: number[:, None], extra)
+        return torques(chain, world_at(chain, q, of_all), v, a, of_all)
+
     return ArmPoints(
         drive=lambda p, u: p["G"] * u,
         torque=_friction_and_bias,
+        position=lambda p, reading: reading,
         masses=(lambda p: Extra()) if masses else None,
+        inverse=inverse,
         stop=lambda p, x: x,
         disturbance=_known_disturbance,
         measure=_positions if measured else _nothing,
-        gravity=gravity,
+        gravity=tables.gravity,
     )
 
 

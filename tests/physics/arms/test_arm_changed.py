@@ -5,18 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_samples import KUKA, OBLIQUE, TREE, accelerations, published, states, urdf
+from arm_samples import KUKA, OBLIQUE, TREE, accelerations, in_model, published, states, urdf
 from toys import quick_jit
 
 from pgrssnn_jax.effects.arm import tilted
 from pgrssnn_jax.physics.arms.chain import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics
 from pgrssnn_jax.physics.arms.pinocchio_dynamics import forward_dynamics as pinocchios
+from pgrssnn_jax.physics.arms.points import own_points
 from pgrssnn_jax.physics.arms.tables import pinocchio_model
 from pgrssnn_jax.physics.arms.urdf import read_urdf
 
 pytestmark = pytest.mark.usefixtures("x64")
-MASS, DISTANCE = 12.5, 0.35
+MASS, DISTANCE, ACROSS = 12.5, 0.35, (0.2, -0.1)  # kg, m
 FILES = {"tree": TREE, "oblique": OBLIQUE}
 
 
@@ -45,12 +46,12 @@ def test_accelerations_are_those_of_pinocchios_changed_model(tables):
         other = pinocchio_model(tables)
         if mass:
             outwards = -1.0 if tables.tip[2] < 0 else 1.0
-            placed = pin.SE3(np.eye(3), tables.tip + outwards * DISTANCE * np.array([0.0, 0.0, 1.0]))
+            placed = pin.SE3(np.eye(3), tables.tip + np.array([*ACROSS, outwards * DISTANCE]))
             load = pin.Inertia.FromDynamicParameters(np.array([mass, *[0.0] * 9]))
             other.appendBodyToJoint(n, load, placed)
         other.armature = tables.armature + more
         other.gravity.linear = pull
-        extra = Extra(jnp.array([mass, DISTANCE]), jnp.asarray(more), jnp.asarray(pull))
+        extra = Extra(jnp.array([mass, DISTANCE, *ACROSS]), jnp.asarray(more), jnp.asarray(pull))
         np.testing.assert_allclose(run(q, v, tau, extra), accelerations(other, q, v, tau), rtol=1e-8, atol=1e-8)
 
 
@@ -64,7 +65,7 @@ def test_the_kukas_payload_hangs_beyond_its_flange():
     @quick_jit
     def holding(m):
         """The torques M q̈ of an arm that does not fall, q̈: as it falls without torques."""
-        extra = Extra(jnp.stack([m, DISTANCE]), gravity=upright)
+        extra = Extra(jnp.stack([m, DISTANCE, 0.0, 0.0]), gravity=upright)
         by_torque = jax.jacrev(forward, 2)(q, still, still, extra)
         return -jnp.linalg.solve(by_torque, forward(q, still, still, extra))
 
@@ -100,3 +101,22 @@ def test_an_arm_on_a_tilted_base_falls_as_if_the_base_were_tilted():
 def test_pinocchios_backend_says_that_its_masses_are_its_own():
     with pytest.raises(ValueError, match="physics.backend: expected jax for effects on the moving masses"):
         pinocchios(KUKA)(jnp.zeros(6), jnp.zeros(6), jnp.zeros(6), Extra(rotor=jnp.zeros(6)))
+
+
+def test_the_torque_of_a_motion_is_pinocchios(tables):
+    """Inverse dynamics, with a payload, rotors and another gravity."""
+    n, more = tables.n, np.linspace(0.1, 1.0, tables.n)
+    q, v, a = np.random.default_rng(3).normal(size=(3, 5, n))
+    model = pinocchio_model(tables)
+    outwards = -1.0 if tables.tip[2] < 0 else 1.0
+    placed = pin.SE3(np.eye(3), tables.tip + np.array([*ACROSS, outwards * DISTANCE]))
+    model.appendBodyToJoint(n, pin.Inertia.FromDynamicParameters(np.array([MASS, *[0.0] * 9])), placed)
+    model.armature = tables.armature + more
+    model.gravity.linear = np.array([1.0, -2.0, 8.0])
+    data = model.createData()
+    expected = [pin.rnea(model, data, in_model(model, one), *rest) for one, *rest in zip(q, v, a, strict=True)]
+    extra = Extra(jnp.array([MASS, DISTANCE, *ACROSS]), jnp.asarray(more), jnp.array([1.0, -2.0, 8.0]))
+    inverse = own_points(tables, masses=True, measured=True).inverse
+    np.testing.assert_allclose(
+        inverse({}, *(jnp.asarray(part.T) for part in (q, v, a)), extra).T, expected, rtol=1e-9, atol=1e-9
+    )
