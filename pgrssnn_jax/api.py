@@ -23,6 +23,8 @@ from pgrssnn_jax.data.benchmarks import load_benchmark
 from pgrssnn_jax.data.sources import channels
 from pgrssnn_jax.discovery.checks import check_physics
 from pgrssnn_jax.discovery.discover import discover as discover_from
+from pgrssnn_jax.discovery.inverse.discover import discover_by_torques, motion_evidence
+from pgrssnn_jax.discovery.inverse.serialise import torques_arrays, torques_json
 from pgrssnn_jax.discovery.network import network_shares, plan_network
 from pgrssnn_jax.discovery.serialise import discovery_arrays, discovery_json
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -153,9 +155,14 @@ def discovered(
     setup: Setup, notify: Callable[[str], None], stop: threading.Event, *, command: str, seconds: float = 0.0
 ) -> Discovered:
     """Runs a discovery that has been set up; stop: looked at between epochs of the proof; seconds: spent before."""
-    found = discover_from(setup, notify)
-    details = discovery_json(found, setup, command=command)
-    if setup.settings.network_epochs and found.selection.final.estimate.active:
+    motion = motion_evidence(setup)
+    if motion is not None:
+        by_torques = discover_by_torques(setup, motion, notify)
+        details, arrays = torques_json(by_torques, setup, command=command), torques_arrays(by_torques, setup)
+    else:
+        found = discover_from(setup, notify)
+        details, arrays = discovery_json(found, setup, command=command), discovery_arrays(found, setup)
+    if motion is None and setup.settings.network_epochs and details["numbers"]["order"]:
         started = time.perf_counter()
         details["network"] = network_shares(setup, details, notify, stop)
         details["seconds"]["network"] = time.perf_counter() - started
@@ -164,7 +171,7 @@ def discovered(
     origins = {name: f"{r.info.source}: {r.info.origin}" for name, r in (("train", setup.train), ("test", setup.test))}
     physics = stored_physics(setup.nominal, details, where="discovery", extra=setup.effects)
     settings = {"physics": settings_to_json(setup.nominal), "discovery": dict(vars(setup.settings))}
-    return Discovered(details, discovery_arrays(found, setup), physics, origins, settings)
+    return Discovered(details, arrays, physics, origins, settings)
 
 
 def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") -> Record:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 # Settings of a physics that discovery chooses itself, where the physics has them (a mapping replaces the values that it
 # names).
@@ -54,6 +54,7 @@ class DiscoverySettings:
     replace: Mapping[str, Any] = field(default_factory=lambda: dict(_REPLACED))
     fixed: list[str] = field(default_factory=lambda: list(_FIXED))  # parameters that no fit moves, NAME or PHYSICS.NAME
     tolerance: float | None = 0.5  # prior: relative standard deviation of the other parameters; None: no prior
+    evidence: Literal["auto", "inverse_dynamics", "free_run"] = "auto"  # of an arm
     stretches: Any = "auto"  # samples of simulated stretches, one length after the other; []: whole records
     without: list[str] = field(default_factory=list)  # names of effects that the catalogue is to do without
     effects: list[str] = field(default_factory=list)  # effects of one's own: MODULE.NAME of an Effect or of a function
@@ -75,6 +76,9 @@ class DiscoverySettings:
         for name, least in {**checks, "network_epochs": 0}.items():
             if (value := getattr(self, name)) < least:
                 raise ValueError(f"discovery.{name}: expected at least {least}, found {value}")
+        if self.evidence not in ("auto", "inverse_dynamics", "free_run"):
+            expected = "auto, inverse_dynamics or free_run"
+            raise ValueError(f"discovery.evidence: expected {expected}, found {self.evidence!r}")
         for name, value in (("p_value", self.p_value), ("share", self.share)):
             if not 0.0 < value < 1.0:
                 raise ValueError(f"discovery.{name}: expected a number between 0 and 1, found {value:g}")

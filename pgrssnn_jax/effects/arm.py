@@ -1,7 +1,8 @@
 """The effects that a model of a robot arm may lack: torques (`arm_torques.py`), and here on what an arm moves, on its
 joints once a step is done, and on how they are read.
 
-    payload                point mass m, kg, at d m outwards from the tip along the last joint's axis, x and y across it
+    payload                mass m, kg, its centre d m outwards from the tip along the last joint's axis, x and y m
+                           across it; its radius of gyration κ m, the same about every axis
     rotor_inertia          J kg m² on the motor side, felt as J G² by the links
     gravity_direction      base tilted by R = Ry(β) Rx(α): in the axes of the base gravity is Rᵀ g
     joint_limit            q ← min(max(q, q_low), q_high);   q̇ ← 0 where a joint at its stop moves into it
@@ -30,6 +31,7 @@ from pgrssnn_jax.physics.arms.chain import Extra
 from pgrssnn_jax.physics.arms.points import State
 from pgrssnn_jax.physics.base import Parameter, Physics
 
+PAYLOAD = ("mass", "distance", "x", "y", "gyration")
 _KNOWN = {"S": "velocity_disturbance", "theta": "torque_bias"}
 
 
@@ -49,20 +51,21 @@ def mass_effects(n: int) -> tuple[Effect, ...]:
             None,
             "payload",
             "masses",
-            lambda n, own, extra: extra._replace(payload=jnp.stack([n[k] for k in ("mass", "distance", "x", "y")])),
+            lambda n, own, extra: extra._replace(payload=jnp.stack([n[key] for key in PAYLOAD])),
             {
                 "mass": Parameter("m", "kg", bounds=(0.0, INFINITE), neutral=0.0),
                 **{
                     key: Parameter(symbol, "m", bounds=(-2.0, 2.0), neutral=0.0)
                     for key, symbol in (("distance", "d"), ("x", "x"), ("y", "y"))
                 },
+                "gyration": Parameter("κ", "m", bounds=(0.0, 2.0), neutral=0.0),
             },
             title="Payload",
-            equation="m at d from the tip along the last joint's axis, x and y across it",
+            equation="m at d from the tip along the last joint's axis, x and y across it, inertia m κ²",
             cause="the arm carries a load that its description does not have",
             # a mass at a wrong distance would look like another mass and no inertia
             initial_guesses=lambda span: [
-                {"mass": np.ones(()), "distance": np.full((), d), "x": np.zeros(()), "y": np.zeros(())}
+                {name: np.full((), value) for name, value in zip(PAYLOAD, (1.0, d, 0.0, 0.0, 0.1), strict=True)}
                 for d in (0.1, 0.4)
             ],
         ),

@@ -194,6 +194,17 @@ def _beside_own(physics: Physics) -> Physics:
     return extended(beside, type(known.points)(*map(of_own, known.points)), known.assemble) if known else beside
 
 
+def points_changed(physics: Physics, effect: Effect) -> frozenset[str] | None:
+    """Names of the extension points that an effect changes; None where it acts around the step or on its signals."""
+    inner = _beside_own(physics)
+    wrapped, known = effect.wrap(inner), extension_of(inner)
+    changed = extension_of(wrapped)
+    if known is None or changed is None or wrapped.states != physics.states:
+        return None
+    pairs = zip(known.points, changed.points, strict=True)
+    return frozenset(name for name, (a, b) in zip(known.points._fields, pairs, strict=True) if a is not b)
+
+
 def _wrapped(effect: Effect, inner: Physics) -> Physics:
     """An effect around step and measurement stays around them when a later one changes the points inside."""
     wrapped, known = effect.wrap(inner), extension_of(inner)

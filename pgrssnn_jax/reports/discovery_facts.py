@@ -94,6 +94,11 @@ def chance(p: Number | None) -> str:
     return MISSING if p is None else f"{p:.2g}"
 
 
+def by_torques(discovery: Discovery) -> bool:
+    """Was the evidence the torques of a measured motion, not a simulation?"""
+    return (discovery.get("evidence") or {}).get("kind") == "inverse_dynamics"
+
+
 def heading(discovery: Discovery) -> str:
     verdict, count = str(discovery["verdict"]), len(discovery.get("effects") or ())
     if verdict == "effect_found" and count > 1:

@@ -24,6 +24,10 @@ SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 DISCOVERY_CAPTIONS = {
     "Simulation": "Free-run simulation of the test record, which had no part in the search, by the nominal physics"
     " and by the physics with the missing effects. The strip below is what either leaves over.",
+    "Torques": "Motor torques of the test record, which had no part in the search: measured, and as the motion asks for"
+    " them by the nominal physics and by that with the missing effects. The strip below is what either leaves.",
+    "Joints": "The torque error of every joint over the standard deviation of its torque, while it moves and at rest."
+    " At rest friction holds a joint against any torque within its reach, so that no model says which one it is.",
     "Disagreement": "What the physics leaves over on the training record, at each stage. Below it: how far the equation"
     " that is most wrong would have to be corrected at every moment. Shaded: where most of the error arises.",
     "Map": "The same correction against the state and the input. A missing effect shows as a patch of one colour: that"
@@ -38,6 +42,13 @@ DISCOVERY_CAPTIONS = {
 
 def discovery_figures(discovery: Discovery, arrays: Arrays) -> dict[str, Figure]:
     """All figures by title, in the order of the page."""
+    if facts.by_torques(discovery):
+        return {
+            "Torques": simulation_figure(discovery, arrays),
+            "Joints": joints_figure(discovery),
+            "Candidates": candidates_figure(discovery, arrays),
+            "Shifts": shifts_figure(discovery),
+        }
     return {
         "Simulation": simulation_figure(discovery, arrays),
         "Disagreement": disagreement_figure(discovery, arrays),
@@ -174,6 +185,24 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     if not shown:
         style.note(ax, "no candidate effect was tried", blank=True)
     style.legend(figure, handles)
+    return figure
+
+
+def joints_figure(discovery: Discovery) -> Figure:
+    """Torque errors by joint, moving and at rest, at every stage."""
+    rows = discovery.get("joints") or ()
+    figure = _page(discovery, max(1.8, 0.5 * len(rows) + 0.7), f"test record, {len(rows)} joints")
+    axes = figure.subplots(1, 2, sharey=True)
+    for ax, regime, words in zip(axes, ("moving", "at_rest"), ("while it moves", "at rest"), strict=True):
+        style.quiet(ax, x=f"torque error {words} / std of the torque")
+        ax.grid(False, axis="y")
+        for k, stage in enumerate(COLOURS):
+            values = [real((row.get(regime) or {}).get(stage)) for row in rows]
+            places = np.arange(len(rows)) + 0.26 * (k - 1)
+            ax.barh(places, np.nan_to_num(values), height=0.24, color=COLOURS[stage], gid=stage)
+        ax.set_yticks(range(len(rows)), [f"joint {row['joint']}" for row in rows])
+        ax.set_ylim(len(rows) - 0.4, -0.6)
+    style.legend(figure, [Patch(color=COLOURS[stage], label=facts.STAGES[stage]) for stage in COLOURS])
     return figure
 
 

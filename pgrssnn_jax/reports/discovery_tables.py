@@ -70,7 +70,8 @@ def discovery_summary(discovery: Discovery) -> Group:
         parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
     metrics = facts.as_metrics(discovery)
     source = Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
-    parts += [gap_table(discovery), *([shift_table(discovery)] if facts.shifts(discovery) else []), source]
+    numbers = [table for table in (joint_table(discovery), shift_table(discovery)) if table.rows]
+    parts += [gap_table(discovery), *numbers, source]
     spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
     return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
 
@@ -85,6 +86,19 @@ def gap_table(discovery: Discovery) -> Table:
         rows.append([f"{row.stage}: {row.words}", rounded(row.train), rounded(row.test), span])
     table = _table(f"The gap: {metric}{content.in_unit(unit)}", ("physics", "train", "test", "test interval"), rows)
     return table._replace(footer=[f"{percent(closed)} of the gap closed"] if closed is not None else [])
+
+
+def joint_table(discovery: Discovery) -> Table:
+    """Torque error of every joint over the standard deviation of its torque; empty for what is no arm."""
+    rows: list[list[str]] = []
+    for row in discovery.get("joints") or ():
+        cells = [
+            " → ".join(rounded(real((row.get(regime) or {}).get(stage))) for stage in ("before", "after"))
+            for regime in ("all", "moving", "at_rest")
+        ]
+        rows.append([str(row["joint"]), rounded(row.get("std")), *cells])
+    header = ("joint", "std (Nm)", "all", "moving", "at rest")
+    return _table("Torque errors by joint, nominal → with the missing effects", header, rows)
 
 
 def shift_table(discovery: Discovery) -> Table:
@@ -122,6 +136,7 @@ def number_tables(discovery: Discovery) -> list[Table]:
     network_header = ("physics", "share of the prediction", f"test {of}{content.in_unit(network.get('unit'))}")
     tables = [
         gap_table(discovery),
+        joint_table(discovery),
         _table("Where physics and measurement disagree", where_header, where),
         _table(tried_title, ("effect", "error energy", "p", "chosen"), [])._replace(rows=tried),
         shift_table(discovery),

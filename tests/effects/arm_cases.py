@@ -23,7 +23,7 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "viscous_friction": {"B": np.linspace(0.0, 0.01, 6)},
     "coulomb_friction": {"Tc": np.linspace(0.1, 0.4, 6)},
     "stribeck_friction": {"torque": np.linspace(0.3, 0.1, 6), "speed": 0.2},
-    "payload": {"mass": 40.0, "distance": 0.3, "x": 0.1, "y": -0.2},
+    "payload": {"mass": 40.0, "distance": 0.3, "x": 0.1, "y": -0.2, "gyration": 0.2},
     "rotor_inertia": {"J": np.linspace(1e-3, 2e-3, 6)},
     "gravity_direction": {"about_x": 0.1, "about_y": -0.2},
     "joint_limit": {"lower": np.full(6, -0.4), "upper": np.linspace(0.1, 0.6, 6)},

@@ -65,7 +65,7 @@ def halves(x):
 
 def loaded() -> pin.Model:
     model = pinocchio_model(KUKA)
-    load = pin.Inertia.FromDynamicParameters(np.array([40.0, *[0.0] * 9]))
+    load = pin.Inertia(40.0, np.zeros(3), 40.0 * 0.2**2 * np.eye(3))
     model.appendBodyToJoint(6, load, pin.SE3(np.eye(3), np.array([0.1, -0.2, -0.24 - 0.3])))
     return model
 

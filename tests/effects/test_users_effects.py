@@ -123,7 +123,9 @@ def test_one_number_stands_for_all_channels_and_none_for_no_limit():
     np.testing.assert_array_equal(limits["upper"], [0.1, np.inf, 0.2, np.inf, np.inf, 1.0])
     with pytest.raises(ValueError, match=r"joint_limit.upper: expected shape \(6,\), found \(2,\)"):
         add_effect(arm(), "joint_limit", upper=[0.1, 0.2])
-    with pytest.raises(ValueError, match=r"payload: expected \['distance', 'mass', 'x', 'y'\], found 'weight'"):
+    with pytest.raises(
+        ValueError, match=r"payload: expected \['distance', 'gyration', 'mass', 'x', 'y'\], found 'weight'"
+    ):
         add_effect(arm(), "payload", weight=1.0)
     with pytest.raises(ValueError, match=r"expected some of \['torque_gain', .* of physics 'arm', found 'load'"):
         add_effect(arm(), "load", mass=1.0)

@@ -35,10 +35,10 @@ Batch = Float[jax.Array, "n batch"]
 class Extra(NamedTuple):
     """What an arm has besides its tables, or in their place; None where there is nothing.
 
-    payload: a point mass, kg, its distance outwards from the tip along the last joint's axis, and its place across it
-    along x and y of the last joint's frame, m, `[4]`; rotor: armature
-    beside the tables', kg m² on the link side, `[n]`; gravity: in place of the tables', m/s², `[3]`. With these the
-    tables are no constants of the compiled program any more.
+    payload: its mass, kg, the distance of its centre outwards from the tip along the last joint's axis, its place
+    across it along x and y of the last joint's frame, and its radius of gyration, the same about every axis, m, `[5]`;
+    rotor: armature beside the tables', kg m² on the link side, `[n]`; gravity: in place of the tables', m/s², `[3]`.
+    With these the tables are no constants of the compiled program any more.
     """
 
     payload: jax.Array | None = None
@@ -134,11 +134,11 @@ def world_at(chain: Chain, q: Batch, extra: Extra) -> World:
 
 
 def _loaded(chain: Chain, world: World, tip: Vector, directions: list[Vector], payload: jax.Array) -> World:
-    """The last link carries a point mass μ at r: mass μ, first moment μ r, second moment μ (|r|² 1 - r rᵀ)."""
+    """The last link carries a mass μ at r: mass μ, first moment μ r, second moment μ ((|r|² + κ²) 1 - r rᵀ)."""
     heavy = payload[:1]
-    r = plus(tip, *(scale(payload[k : k + 1], d) for k, d in enumerate(directions, 1)))
-    squares = [c * c for c in r]
-    inner = [squares[1] + squares[2], squares[0] + squares[2], squares[0] + squares[1]]
+    r = plus(tip, *(scale(payload[k : k + 1], d) for k, d in enumerate(directions, 1)))  # three numbers of its place
+    squares, own = [c * c for c in r], payload[4:5] ** 2
+    inner = [own + squares[1] + squares[2], own + squares[0] + squares[2], own + squares[0] + squares[1]]
     mixed = [-r[0] * r[1], -r[0] * r[2], -r[1] * r[2]]
     on_last = chain.last(heavy) * heavy
     mass, first, second = world.inertias

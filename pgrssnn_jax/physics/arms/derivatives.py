@@ -169,16 +169,18 @@ def _by_extra(chain: Chain, world: World, motion: Motion, a: Batch, extra: Extra
 
 
 def _by_payload(chain: Chain, world: World, motion: Motion, payload: jax.Array) -> Matrix:
-    """A mass μ at r pulls with f = μ r̈, r̈ = a + α × r + ω × (v + ω × r), with the moment r × f; n = ∂r/∂place."""
+    """A mass μ at r pulls with f = μ r̈, r̈ = a + α × r + ω × (v + ω × r), moment r × f + μ κ² α; n: ∂r/∂place."""
     assert world.point is not None
     last = [[component[-1:] for component in vector] for vector in (motion.velocity, motion.acceleration)]
     (w, v), (alpha, a) = ((part[:3], part[3:]) for part in last)
     r, *directions = (world.point[k : k + 3] for k in range(0, len(world.point), 3))
     moved = plus(a, cross(alpha, r), cross(w, plus(v, cross(w, r))))
-    by = [cross(r, moved) + moved]
+    gyration, nothing = payload[4:5], [jnp.zeros_like(part) for part in alpha]
+    by = [plus(cross(r, moved), scale(gyration**2, alpha)) + moved]
     for n in directions:
         turned = plus(cross(alpha, n), cross(w, cross(w, n)))
         by.append(scale(payload[:1], plus(cross(n, moved), cross(r, turned)) + turned))
+    by.append(scale(2.0 * payload[:1] * gyration, alpha) + nothing)
     carries = chain.column(np.isin(np.arange(chain.n), [chain.n - 1, *chain.below(chain.n - 1)]), payload)
     return jnp.stack([carries * dot(world.axes, one) for one in by], 1)
 

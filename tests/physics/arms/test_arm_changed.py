@@ -17,7 +17,7 @@ from pgrssnn_jax.physics.arms.tables import pinocchio_model
 from pgrssnn_jax.physics.arms.urdf import read_urdf
 
 pytestmark = pytest.mark.usefixtures("x64")
-MASS, DISTANCE, ACROSS = 12.5, 0.35, (0.2, -0.1)  # kg, m
+MASS, DISTANCE, ACROSS, GYRATION = 12.5, 0.35, (0.2, -0.1), 0.15  # kg, m
 FILES = {"tree": TREE, "oblique": OBLIQUE}
 
 
@@ -47,11 +47,11 @@ def test_accelerations_are_those_of_pinocchios_changed_model(tables):
         if mass:
             outwards = -1.0 if tables.tip[2] < 0 else 1.0
             placed = pin.SE3(np.eye(3), tables.tip + np.array([*ACROSS, outwards * DISTANCE]))
-            load = pin.Inertia.FromDynamicParameters(np.array([mass, *[0.0] * 9]))
+            load = pin.Inertia(mass, np.zeros(3), mass * GYRATION**2 * np.eye(3))
             other.appendBodyToJoint(n, load, placed)
         other.armature = tables.armature + more
         other.gravity.linear = pull
-        extra = Extra(jnp.array([mass, DISTANCE, *ACROSS]), jnp.asarray(more), jnp.asarray(pull))
+        extra = Extra(jnp.array([mass, DISTANCE, *ACROSS, GYRATION]), jnp.asarray(more), jnp.asarray(pull))
         np.testing.assert_allclose(run(q, v, tau, extra), accelerations(other, q, v, tau), rtol=1e-8, atol=1e-8)
 
 
@@ -65,7 +65,7 @@ def test_the_kukas_payload_hangs_beyond_its_flange():
     @quick_jit
     def holding(m):
         """The torques M q̈ of an arm that does not fall, q̈: as it falls without torques."""
-        extra = Extra(jnp.stack([m, DISTANCE, 0.0, 0.0]), gravity=upright)
+        extra = Extra(jnp.stack([m, DISTANCE, 0.0, 0.0, 0.0]), gravity=upright)
         by_torque = jax.jacrev(forward, 2)(q, still, still, extra)
         return -jnp.linalg.solve(by_torque, forward(q, still, still, extra))
 
@@ -110,12 +110,12 @@ def test_the_torque_of_a_motion_is_pinocchios(tables):
     model = pinocchio_model(tables)
     outwards = -1.0 if tables.tip[2] < 0 else 1.0
     placed = pin.SE3(np.eye(3), tables.tip + np.array([*ACROSS, outwards * DISTANCE]))
-    model.appendBodyToJoint(n, pin.Inertia.FromDynamicParameters(np.array([MASS, *[0.0] * 9])), placed)
+    model.appendBodyToJoint(n, pin.Inertia(MASS, np.zeros(3), MASS * GYRATION**2 * np.eye(3)), placed)
     model.armature = tables.armature + more
     model.gravity.linear = np.array([1.0, -2.0, 8.0])
     data = model.createData()
     expected = [pin.rnea(model, data, in_model(model, one), *rest) for one, *rest in zip(q, v, a, strict=True)]
-    extra = Extra(jnp.array([MASS, DISTANCE, *ACROSS]), jnp.asarray(more), jnp.array([1.0, -2.0, 8.0]))
+    extra = Extra(jnp.array([MASS, DISTANCE, *ACROSS, GYRATION]), jnp.asarray(more), jnp.array([1.0, -2.0, 8.0]))
     inverse = own_points(tables, masses=True, measured=True).inverse
     np.testing.assert_allclose(
         inverse({}, *(jnp.asarray(part.T) for part in (q, v, a)), extra).T, expected, rtol=1e-9, atol=1e-9

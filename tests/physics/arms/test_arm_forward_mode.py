@@ -21,7 +21,7 @@ BY_ALL = (0, 1, 2, 3)
 
 def changed(n):
     """A payload, rotors and a gravity that is askew."""
-    return Extra(jnp.array([3.0, 0.2, 0.1, -0.3]), jnp.linspace(0.1, 1.0, n), jnp.array([1.0, -2.0, 8.0]))
+    return Extra(jnp.array([3.0, 0.2, 0.1, -0.3, 0.4]), jnp.linspace(0.1, 1.0, n), jnp.array([1.0, -2.0, 8.0]))
 
 
 class Robot:
@@ -111,7 +111,7 @@ def test_jacobians_are_finite_differences(robot):
 
 
 def test_nothing_extra_changes_nothing(robot):
-    nothing = Extra(jnp.zeros(4), jnp.zeros(robot.n), jnp.asarray(robot.tables.gravity))
+    nothing = Extra(jnp.zeros(5), jnp.zeros(robot.n), jnp.asarray(robot.tables.gravity))
     found, expected = (robot.value["reverse"](*robot.given, extra) for extra in (nothing, Extra()))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

@@ -1,0 +1,1 @@
+"""Discovery by inverse dynamics: of arms whose positions are measured well, the torque of every motion is compared."""

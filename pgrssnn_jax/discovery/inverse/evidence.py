@@ -1,0 +1,130 @@
+"""The evidence of inverse dynamics: by how much the torque that a model asks for misses the one that was measured.
+
+    e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        D = ∂drive/∂u: motor torque, Nm; zero where the model is right
+
+q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
+Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any
+torque within its reach.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from pgrssnn_jax.discovery.inverse.motion import Motion
+from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.effects.base import Effect, points_changed
+from pgrssnn_jax.physics.arms.points import ArmPoints
+from pgrssnn_jax.physics.base import Physics, extension_of
+
+_STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slower, it stands still
+_LEAST_BLOCKS = 24
+_AT_ONCE = 4  # derivatives that one program computes: one program for all
+_JUDGED = frozenset(("drive", "torque", "position", "masses"))  # extension points that a torque depends on
+Errors = Float[np.ndarray, "n batch"]
+
+
+class Samples(NamedTuple):
+    """Of all sequences end to end, each of `length` samples. torque: of the motors, Nm; block: those of one number are
+    left out together; moving: does the joint?"""
+
+    reading: Errors
+    v: Errors
+    a: Errors
+    torque: Errors
+    block: Int[np.ndarray, " batch"]
+    moving: Bool[np.ndarray, "n batch"]
+    length: int
+
+    @property
+    def blocks(self) -> int:
+        return int(self.block.max()) + 1
+
+
+def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"]) -> Samples:
+    """fastest: speed of every joint that standstill is relative to. Blocks are sequences, or parts of few ones."""
+    sequences, time, n = motion.v.shape
+    pieces = -(-_LEAST_BLOCKS // sequences)
+    within = np.minimum(np.arange(time) * pieces // time, pieces - 1)
+    blocks = (np.arange(sequences)[:, None] * pieces + within).ravel()
+    reading, v, a, torque = (np.ascontiguousarray(one.reshape(-1, n).T) for one in motion[:4])
+    return Samples(reading, v, a, torque, blocks, np.abs(v) > _STILL * fastest[:, None], time)
+
+
+def fastest_of(motion: Motion) -> Float[np.ndarray, " n"]:
+    return np.quantile(np.abs(motion.v), 0.99, axis=(0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Torques:
+    """Errors of a problem, and their derivatives by the numbers of θ at `places`, `[place, n, batch]`. moves: the
+    places of numbers that the inverse dynamics depend on; all others cost next to nothing."""
+
+    problem: Problem
+    moves: Int[np.ndarray, " m"]
+    _errors: Callable[..., jax.Array]
+    _heavy: Callable[..., jax.Array]
+    _light: Callable[..., jax.Array]
+
+    def errors(self, theta: np.ndarray, samples: Samples) -> Errors:
+        return np.asarray(self._errors(jnp.asarray(theta), *samples[:4]))
+
+    def derivatives(
+        self, theta: np.ndarray, samples: Samples, places: Int[np.ndarray, " k"]
+    ) -> Float[np.ndarray, "k n batch"]:
+        heavy = np.isin(places, self.moves)
+        found = np.empty((len(places), *samples.torque.shape))
+        for function, kind in ((self._heavy, heavy), (self._light, ~heavy)):
+            along = np.eye(len(theta))[np.resize(places[kind], -(-kind.sum() // _AT_ONCE) * _AT_ONCE)]
+            parts = [function(jnp.asarray(theta), few, *samples[:4]) for few in along.reshape(-1, _AT_ONCE, len(theta))]
+            if parts:
+                found[kind] = np.concatenate([np.asarray(part) for part in parts])[: kind.sum()]
+        return found
+
+
+def torques(problem: Problem) -> Torques:
+    """Of a problem about an arm whose dynamics are in JAX. drive(u) is taken for linear in u."""
+    known = extension_of(problem.full)
+    assert known is not None
+    points: ArmPoints = known.points
+
+    def required(theta: jax.Array, reading: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
+        """Torque of the motion on the link side."""
+        p = problem.code.unravel(theta)
+        assert points.masses is not None
+        return points.inverse(p, jax.vmap(points.position, (None, 1), 1)(p, reading), v, a, points.masses(p))
+
+    def missing(theta: jax.Array, needed: jax.Array, reading: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
+        p = problem.code.unravel(theta)
+        q = jax.vmap(points.position, (None, 1), 1)(p, reading)
+        drive = jax.vmap(points.drive, (None, 1), 1)(p, u)
+        given = jax.vmap(points.torque, (None, 1, 1, 1), 1)(p, q, v, drive)
+        by_motor = jax.jacfwd(lambda torque: points.drive(p, torque))(jnp.zeros(len(u), u.dtype))
+        return jnp.linalg.solve(by_motor, given - needed)
+
+    def errors(theta: jax.Array, reading: jax.Array, v: jax.Array, a: jax.Array, u: jax.Array) -> jax.Array:
+        return missing(theta, required(theta, reading, v, a), reading, v, u)
+
+    def along_each(function: Callable[..., jax.Array], theta: jax.Array, along: jax.Array) -> jax.Array:
+        return jax.vmap(lambda one: jax.jvp(function, (theta,), (one,))[1])(along)
+
+    def heavy(theta: jax.Array, along: jax.Array, *samples: jax.Array) -> jax.Array:
+        return along_each(lambda numbers: errors(numbers, *samples), theta, along)
+
+    def light(theta: jax.Array, along: jax.Array, reading: Any, v: Any, a: Any, u: Any) -> jax.Array:
+        needed = required(theta, reading, v, a)
+        return along_each(lambda numbers: missing(numbers, needed, reading, v, u), theta, along)
+
+    moves = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & {"masses", "position"}]
+    places = [problem.of(name) for name in moves]
+    return Torques(problem, np.concatenate([[], *places]).astype(int), *map(jax.jit, (errors, heavy, light)))
+
+
+def judged(physics: Physics, effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Those that change a torque and nothing else of a step: inverse dynamics sees all that they do."""
+    return tuple(e for e in effects if (points_changed(physics, e) or {"none"}) <= _JUDGED)

@@ -1,0 +1,169 @@
+"""Weighted least squares of torque errors, within bounds and priors, and what is predicted of blocks left out.
+
+    minimise  Σ (e(θ) / σ)² / κ  +  Σ ((θ - given) / prior)²
+
+σ: RMS error of a joint in a regime (moving, at rest), estimated with the fit; κ: samples over which errors remember, so
+that a sum counts what is independent in it. Score of two models: by how much the logarithm of the likelihood of blocks
+that had no part in the fit differs, with its standard error over the blocks.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pgrssnn_jax.discovery.bounded import step_within
+from pgrssnn_jax.discovery.inverse.evidence import Errors, Samples, Torques
+from pgrssnn_jax.discovery.noise import autoregression, correlation_time
+from pgrssnn_jax.discovery.problem import Problem
+
+_STEPS = 8  # of Gauss-Newton: most numbers are linear and need one
+_SHORTER = 8  # halvings of a step
+_STILL_FALLS = 1e-4  # part of the cost: less is no progress
+_LEAST = 1e-9  # of the largest σ
+
+
+class Fit(NamedTuple):
+    """theta; places that were free; error `[n, batch]` and its derivatives `[k, n, batch]`; weight `[n, batch]`, which
+    is 1 / (σ² κ); left_out: error of every sample by the numbers of a fit without its fold."""
+
+    theta: Float[np.ndarray, " p"]
+    places: Int[np.ndarray, " k"]
+    error: Errors
+    derivatives: Float[np.ndarray, "k n batch"]
+    weight: Errors
+    left_out: Errors
+
+
+class Gain(NamedTuple):
+    """Difference of the log-likelihood of left-out blocks, and its standard error."""
+
+    value: float
+    error: float
+
+    def clear(self, standard_errors: float) -> bool:
+        return self.value > standard_errors * self.error
+
+
+def fitted(
+    torques: Torques,
+    samples: Samples,
+    theta: Float[np.ndarray, " p"],
+    places: Int[np.ndarray, " k"],
+    remembered: Float[np.ndarray, " n"],
+    folds: int,
+) -> Fit:
+    """remembered: κ of every joint."""
+    error = torques.errors(theta, samples)
+    weight = regime_weight(error, samples, remembered)
+    for _ in range(_STEPS):
+        derivatives = torques.derivatives(theta, samples, places)
+        sums = _sums(error, derivatives, np.sqrt(weight), np.ones(error.shape[1], bool))
+        step = _solved(torques.problem, theta, places, *sums)
+        now, cost = theta, _cost(torques, error, weight, theta)
+        for halved in range(_SHORTER):
+            theta = now.copy()
+            theta[places] += step * 0.5**halved
+            error = torques.errors(theta, samples)
+            if (after := _cost(torques, error, weight, theta)) <= cost:
+                break
+        else:
+            theta, error, after = now, torques.errors(now, samples), cost
+        weight = regime_weight(error, samples, remembered)
+        if cost - after <= _STILL_FALLS * cost:
+            break
+    derivatives = torques.derivatives(theta, samples, places)
+    return linear_fit(torques, samples, theta, places, error, derivatives, weight, folds)
+
+
+def linear_fit(
+    torques: Torques,
+    samples: Samples,
+    theta: Float[np.ndarray, " p"],
+    places: Int[np.ndarray, " k"],
+    error: Errors,
+    derivatives: Float[np.ndarray, "k n batch"],
+    weight: Errors,
+    folds: int,
+) -> Fit:
+    """One step from θ, and the same without each fold; what is nonlinear in θ keeps its tangent."""
+    problem, fold_of = torques.problem, samples.block % folds
+    root = np.sqrt(weight)
+    sums = [_sums(error, derivatives, root, fold_of == fold) for fold in range(folds)]
+    whole = np.sum([normal for normal, _ in sums], axis=0), np.sum([pull for _, pull in sums], axis=0)
+    left_out = np.empty_like(error)
+    for fold, (normal, pull) in enumerate(sums):
+        out = fold_of == fold
+        without = _solved(problem, theta, places, whole[0] - normal, whole[1] - pull)
+        left_out[:, out] = error[:, out] + np.tensordot(without, derivatives[..., out], 1)
+    step = _solved(problem, theta, places, *whole)
+    moved = theta.copy()
+    moved[places] += step
+    return Fit(moved, places, error + np.tensordot(step, derivatives, 1), derivatives, weight, left_out)
+
+
+def gain(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> Gain:
+    """Of left-out errors over others."""
+    by_block = gains_by_block(before, after, samples, remembered)
+    return Gain(float(by_block.sum()), float(by_block.std(ddof=1) * len(by_block) ** 0.5))
+
+
+def gains_by_block(
+    before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " block"]:
+    """The σ of a joint in a regime are those of each model."""
+    by_block = np.zeros(samples.blocks)
+    for joint, kappa in enumerate(remembered):
+        for regime in (samples.moving[joint], ~samples.moving[joint]):
+            if not regime.any():
+                continue
+            one, other = (e[joint, regime] ** 2 for e in (before, after))
+            old, new = one.mean(), other.mean()
+            if not old > 0 or not new > 0:
+                continue
+            terms = np.log(old / new) + one / old - other / new
+            by_block += np.bincount(samples.block[regime], terms / (2 * kappa), samples.blocks)
+    return by_block
+
+
+def remembered(error: Errors, samples: Samples) -> Float[np.ndarray, " n"]:
+    """κ: samples over which the errors of each joint remember, at least 1."""
+    scaled = (error / _sigma(error, samples)).reshape(len(error), -1, samples.length)
+    return np.array([max(1.0, correlation_time(autoregression(one))) for one in scaled])
+
+
+def _sigma(error: Errors, samples: Samples) -> Errors:
+    """σ of every sample."""
+    found = np.ones_like(error)
+    for joint, one in enumerate(error):
+        for regime in (samples.moving[joint], ~samples.moving[joint]):
+            if regime.any():
+                found[joint, regime] = np.sqrt(np.mean(one[regime] ** 2))
+    return np.maximum(found, _LEAST * found.max())
+
+
+def regime_weight(error: Errors, samples: Samples, kappa: Float[np.ndarray, " n"]) -> Errors:
+    return 1.0 / (_sigma(error, samples) ** 2 * kappa[:, None])
+
+
+def _cost(torques: Torques, error: Errors, weight: Errors, theta: np.ndarray) -> float:
+    return float((weight * error**2).sum()) + torques.problem.penalty(theta)
+
+
+def _sums(error: Errors, derivatives: np.ndarray, root: Errors, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix and pull of the samples that are kept."""
+    columns = (derivatives[..., kept] * root[:, kept]).reshape(len(derivatives), -1)
+    return columns @ columns.T, -columns @ (error[:, kept] * root[:, kept]).ravel()
+
+
+def _solved(
+    problem: Problem, theta: np.ndarray, places: Int[np.ndarray, " k"], normal: np.ndarray, pull: np.ndarray
+) -> Float[np.ndarray, " k"]:
+    """Change of the numbers at `places`, with what is known of them before."""
+    precision = problem.precision[places]
+    return step_within(
+        normal + np.diag(precision),
+        pull - precision * (theta[places] - problem.theta[places]),
+        problem.low[places] - theta[places],
+        problem.high[places] - theta[places],
+    )

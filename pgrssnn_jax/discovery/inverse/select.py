@@ -1,0 +1,242 @@
+"""Which effects an arm lacks: its structure first, then what predicts, found from two sides.
+
+    backward   all effects at once, and out with the one that predicts least
+    forward    one after another what predicts most, and out with what it makes superfluous
+
+Going forward, a gain can stand in for a motor's inertia and never leave; going backward, three small effects can stand
+in for one. The model that predicts left-out blocks better is kept, of two that do alike the one with fewer effects. An
+effect stays where it predicts better by three standard errors and by its share of what all of them do.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, fitted, gain, linear_fit, regime_weight, remembered
+from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, span_of
+from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.discovery.settings import Criteria
+
+_KNOWN = {"viscous_friction": "B", "coulomb_friction": "Tc"}  # effects whose law is that of a number of the physics
+_FINALISTS = 4
+Active = Mapping[str, Int[np.ndarray, " k"]]
+
+
+class Model(NamedTuple):
+    """active: places in θ of the effects."""
+
+    fit: Fit
+    active: Active
+
+
+class Chosen(NamedTuple):
+    """structure: the one that predicts best; recalibrated: the physics with its own numbers free; final: with the
+    effects; without: the final model without each in turn, gains: what each predicts; candidates: gain of each over
+    the recalibrated physics in its structure; rivals: structures that predict as well; kappa: samples over which errors
+    remember."""
+
+    structure: Structure
+    recalibrated: Fit
+    final: Model
+    without: Mapping[str, Fit]
+    gains: Mapping[str, Gain]
+    candidates: Mapping[str, Gain]
+    rivals: list[Tried]
+    kappa: Float[np.ndarray, " n"]
+
+
+class Search(NamedTuple):
+    """What does not change while effects come and go. own: numbers of the physics that are free; least: gain of
+    log-likelihood below which an effect is not worth a name: a share of what all effects gain, and of what a fall of
+    all errors to 1 / e would."""
+
+    torques: Torques
+    samples: Samples
+    own: Int[np.ndarray, " k"]
+    kappa: Float[np.ndarray, " n"]
+    folds: int
+    criteria: Criteria
+    least: float = 0.0
+
+    @property
+    def problem(self) -> Problem:
+        return self.torques.problem
+
+    def places(self, active: Active) -> Int[np.ndarray, " k"]:
+        return np.concatenate([self.own, *active.values()]).astype(int)
+
+    def fit(self, theta: np.ndarray, active: Active) -> Fit:
+        return fitted(self.torques, self.samples, theta, self.places(active), self.kappa, self.folds)
+
+    def gain(self, before: Fit, after: Fit) -> Gain:
+        return gain(before.left_out, after.left_out, self.samples, self.kappa)
+
+    def worth(self, one: Gain) -> bool:
+        return one.clear(self.criteria.certain) and one.value >= self.least
+
+    def linear(self, theta: np.ndarray, active: Active, derivatives: np.ndarray | None = None) -> Fit:
+        """One step from θ; derivatives: where they are known."""
+        places, samples = self.places(active), self.samples
+        error = self.torques.errors(theta, samples)
+        if derivatives is None:
+            derivatives = self.torques.derivatives(theta, samples, places)
+        rough = regime_weight(error, samples, self.kappa)
+        fit = linear_fit(self.torques, samples, theta, places, error, derivatives, rough, self.folds)
+        weight = regime_weight(fit.error, samples, self.kappa)
+        return linear_fit(self.torques, samples, theta, places, error, derivatives, weight, self.folds)
+
+
+def own_places(problem: Problem) -> Int[np.ndarray, " k"]:
+    """Numbers of the physics that it knows: one that is zero is not there."""
+    own = problem.of(None)
+    return own[problem.theta[own] != 0]
+
+
+def select(search: Search, tried: Sequence[Tried], notify: Callable[[str], None]) -> Chosen:
+    """tried: structures, the best one first, then those that predict as well."""
+    problem, (best, *rivals) = search.problem, tried
+    theta, structure = _placed(problem, best)
+    everything = with_everything(search, best)
+    search = search._replace(kappa=remembered(everything.fit.error, search.samples))
+    everything = Model(search.fit(everything.fit.theta, everything.active), everything.active)
+    recalibrated = search.fit(problem.theta, {})
+    independent = float((search.samples.v.shape[1] / search.kappa).sum())
+    everywhere = max(search.gain(recalibrated, everything.fit).value, independent)
+    search = search._replace(least=search.criteria.share * everywhere)
+    start = Model(search.fit(theta, structure), structure)
+    candidates = {name: one for name, (one, _) in _screened(search, start).items()}
+    backward = _grown(search, _pruned(search, everything), notify)
+    forward = _grown(search, start, notify)
+    final = _joints_pruned(search, _better(search, forward, backward))
+    without = {name: _without(search, final, name).fit for name in final.active}
+    gains = {name: search.gain(fit, final.fit) for name, fit in without.items()}
+    return Chosen(best.structure, recalibrated, final, without, gains, candidates, rivals, search.kappa)
+
+
+def finalists(search: Search, tried: Sequence[Tried]) -> list[Tried]:
+    """The first structures with all effects and more samples: the simplest one that is as good as the best, then those
+    that change no more and predict as well."""
+    fits = [with_everything(search, one).fit for one in tried[:_FINALISTS]]
+    best = max(fits, key=lambda fit: search.gain(fits[0], fit).value)
+    alike = [k for k, fit in enumerate(fits) if not search.gain(fit, best).clear(search.criteria.certain)]
+    return [tried[k] for k in alike]
+
+
+def _placed(problem: Problem, best: Tried) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """θ in a structure, and the places of its numbers."""
+    theta, active = problem.theta, dict[str, np.ndarray]()
+    for name, numbers in best.structure.numbers().items():
+        theta = problem.put(theta, name, numbers)
+        active[name] = np.array([place for place in problem.of(name) if theta[place] != problem.theta[place]])
+    return theta, active
+
+
+def with_everything(search: Search, best: Tried, without: Sequence[str] = ()) -> Model:
+    """All effects beside the structure, but for those named in `without`."""
+    problem, span = search.problem, span_of(search.samples)
+    theta, structure = _placed(problem, best)
+    active = dict(structure)
+    for effect in problem.effects:
+        if effect.name not in (*STRUCTURE, *without) and not _is_own(problem, effect.name):
+            active[effect.name] = problem.of(effect.name)
+            theta = problem.put(theta, effect.name, effect.guesses(span)[0])
+    return Model(search.fit(theta, active), active)
+
+
+def _is_own(problem: Problem, name: str) -> bool:
+    """Is the effect's law one of the physics, whose number is free already?"""
+    symbol = _KNOWN.get(name)
+    own = [problem.theta[i] for i in problem.of(None) if problem.slots[i].path == (symbol,)]
+    return bool(own) and all(value != 0 for value in own)
+
+
+def _better(search: Search, one: Model, other: Model) -> Model:
+    """The one that predicts better; of two that do alike the one with fewer effects."""
+    fewer, more = sorted((one, other), key=lambda model: len(model.active))
+    return more if search.worth(search.gain(fewer.fit, more.fit)) else fewer
+
+
+def _grown(search: Search, now: Model, notify: Callable[[str], None]) -> Model:
+    """With whatever else predicts, one effect after another."""
+    tried: set[str] = set()
+    while True:
+        found = {name: one for name, one in _screened(search, now).items() if name not in tried}
+        name = max(found, key=lambda one: found[one][0].value, default=None)
+        if name is None or not search.worth(found[name][0]):
+            return now
+        tried.add(name)
+        active = {**now.active, name: search.problem.of(name)}
+        grown = Model(search.fit(found[name][1], active), active)
+        better = search.gain(now.fit, grown.fit)
+        if search.worth(better):
+            notify(f"{name}: log-likelihood + {better.value:.0f} ± {better.error:.0f}")
+            now = _pruned(search, grown)
+
+
+def _screened(search: Search, now: Model) -> dict[str, tuple[Gain, Float[np.ndarray, " p"]]]:
+    """Gain of every effect that is not there, by one linear step from where its fit begins, and θ there."""
+    problem, span = search.problem, span_of(search.samples)
+    found: dict[str, tuple[Gain, np.ndarray]] = {}
+    for effect in problem.effects:
+        places = problem.of(effect.name)
+        if _is_own(problem, effect.name) or len(now.active.get(effect.name, ())) == len(places):
+            continue
+        starts = [] if effect.name in now.active else effect.guesses(span)
+        for theta in [problem.put(now.fit.theta, effect.name, numbers) for numbers in starts] or [now.fit.theta]:
+            fit = search.linear(theta, {**now.active, effect.name: places})
+            better = search.gain(now.fit, fit)
+            if effect.name not in found or better.value > found[effect.name][0].value:
+                found[effect.name] = better, theta
+    return found
+
+
+def _pruned(search: Search, now: Model) -> Model:
+    """Without effects that do not predict, the least one first; those of the structure when no other is idle."""
+    while True:
+        for names in (set(now.active) - STRUCTURE, set(now.active) & STRUCTURE):
+            without = {name: _without(search, now, name) for name in sorted(names)}
+            gains = {name: search.gain(one.fit, now.fit) for name, one in without.items()}
+            idle = [name for name, one in gains.items() if not search.worth(one)]
+            if idle:
+                rest = without[min(idle, key=lambda one: gains[one].value)]
+                now = Model(search.fit(rest.fit.theta, rest.active), rest.active)
+                break
+        else:
+            return now
+
+
+def _without(search: Search, now: Model, name: str) -> Model:
+    """The others refitted in one step. Derivatives by other numbers do not depend on an effect that adds a torque."""
+    problem = search.problem
+    theta = problem.put(now.fit.theta, name, problem.effect(name).neutral())
+    active = {other: places for other, places in now.active.items() if other != name}
+    keeps = np.isin(now.fit.places, search.places(active))
+    known = None if name in STRUCTURE else now.fit.derivatives[keeps]
+    return Model(search.linear(theta, active, known), active)
+
+
+def _joints_pruned(search: Search, now: Model) -> Model:
+    """Without the numbers of single joints that do not predict."""
+    problem = search.problem
+    while True:
+        idle: list[tuple[float, str, int]] = []
+        for name, places in now.active.items():
+            for place in places[[problem.slots[i].label.endswith("]") for i in places]] if len(places) > 1 else ():
+                theta, active, keeps = _one_less(problem, now, name, place)
+                fit = search.linear(theta, active, now.fit.derivatives[keeps])
+                if not (found := search.gain(fit, now.fit)).clear(search.criteria.certain):
+                    idle.append((found.value, name, int(place)))
+        if not idle:
+            return Model(search.fit(now.fit.theta, now.active), now.active)
+        theta, active, keeps = _one_less(problem, now, *min(idle)[1:])
+        now = Model(search.linear(theta, active, now.fit.derivatives[keeps]), active)
+
+
+def _one_less(problem: Problem, now: Model, name: str, place: int) -> tuple[np.ndarray, Active, np.ndarray]:
+    """θ with one number neutral, the places that are left, and which of the free ones they are."""
+    theta = now.fit.theta.copy()
+    theta[place] = problem.put(theta, name, problem.effect(name).neutral())[place]
+    return theta, {**now.active, name: now.active[name][now.active[name] != place]}, now.fit.places != place

@@ -1,0 +1,141 @@
+"""What is discrete in an arm: the direction of gravity and the zeros of its encoders, in quarter turns.
+
+Every combination is compared with all that is linear beside it free (payload, counterbalance, friction, motor inertia,
+constant torques): a wrong structure hides behind such stand-ins, and a right one must not need them. Structures that
+predict as well are told apart by how little they change.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, gain, linear_fit, regime_weight
+from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.effects.base import SignalRange
+
+GRAVITY, HOME = "gravity_direction", "home_offset"
+STRUCTURE = frozenset((GRAVITY, HOME))
+QUARTERS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
+DIRECTIONS = ((0.0, 0.0), (np.pi, 0.0), (np.pi / 2, 0.0), (-np.pi / 2, 0.0), (0.0, np.pi / 2), (0.0, -np.pi / 2))
+BESIDE = ("torque_bias", "rotor_inertia", "payload", "gravity_counterbalance", "viscous_friction", "coulomb_friction")
+_CERTAIN = 3.0  # standard errors by which a structure that changes more must predict better
+_NEAR = 0.35  # rad from a quarter turn: 20 degrees
+_TOGETHER = 2  # joints whose zeros are tried together with gravity: those behind the first carry the arm
+
+
+class Structure(NamedTuple):
+    """tilt: of gravity about x and y; zeros: of the encoders, rad."""
+
+    tilt: tuple[float, float]
+    zeros: tuple[float, ...]
+
+    @property
+    def changes(self) -> int:
+        return int(any(self.tilt)) + sum(map(bool, self.zeros))
+
+    def numbers(self) -> dict[str, dict[str, np.ndarray]]:
+        """Of the effects that it consists of."""
+        found: dict[str, dict[str, np.ndarray]] = {}
+        if any(self.tilt):
+            found[GRAVITY] = {"about_x": np.asarray(self.tilt[0]), "about_y": np.asarray(self.tilt[1])}
+        if any(self.zeros):
+            found[HOME] = {"offset": np.array(self.zeros)}
+        return found
+
+
+class Tried(NamedTuple):
+    """gain: of the structure over the nominal one."""
+
+    structure: Structure
+    gain: Gain
+    fit: Fit
+
+
+def best_structures(
+    torques: Torques, samples: Samples, own: Int[np.ndarray, " k"], kappa: Float[np.ndarray, " n"], folds: int
+) -> list[Tried]:
+    """The best one first, then those that the data cannot tell from it; own: numbers of the physics that are free."""
+    problem, n = torques.problem, len(samples.torque)
+    names = {effect.name for effect in problem.effects}
+    theta = problem.theta
+    span = span_of(samples)
+    for name in sorted(names & set(BESIDE)):
+        theta = problem.put(theta, name, problem.effect(name).guesses(span)[0])
+    places = np.concatenate([own, *(problem.of(name) for name in BESIDE if name in names)]).astype(int)
+
+    def fit(structure: Structure) -> Fit:
+        at = theta
+        for name, numbers in structure.numbers().items():
+            at = problem.put(at, name, numbers)
+        error, derivatives = torques.errors(at, samples), torques.derivatives(at, samples, places)
+        weight = regime_weight(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
+        rough = linear_fit(torques, samples, at, places, error, derivatives, weight, folds)
+        weight = regime_weight(rough.error, samples, kappa)
+        return linear_fit(torques, samples, at, places, error, derivatives, weight, folds)
+
+    none = Structure((0.0, 0.0), (0.0,) * n)
+    nominal = fit(none)
+
+    def compared(structures: Iterable[Structure]) -> list[Tried]:
+        fits = [(one, nominal if one == none else fit(one)) for one in structures]
+        return [Tried(s, gain(nominal.left_out, f.left_out, samples, kappa), f) for s, f in fits]
+
+    tried = compared(_first(n, names))
+    for joint in range(1 + _TOGETHER, n) if HOME in names else ():
+        best = max(tried, key=lambda one: one.gain.value)
+        zeros = best.structure.zeros
+        others = (Structure(best.structure.tilt, (*zeros[:joint], turn, *zeros[joint + 1 :])) for turn in QUARTERS[1:])
+        tried += compared(others)
+    return _ranked(tried, samples, kappa)
+
+
+def _first(n: int, names: set[str]) -> Iterator[Structure]:
+    """Gravity together with the joints that carry most; the first joint's axis is along gravity, or shows nothing."""
+    together = range(1, min(1 + _TOGETHER, n)) if HOME in names else ()
+    for tilt in DIRECTIONS if GRAVITY in names else DIRECTIONS[:1]:
+        for turns in product(QUARTERS, repeat=len(together)):
+            zeros = np.zeros(n)
+            zeros[list(together)] = turns
+            yield Structure(tilt, tuple(zeros.tolist()))
+
+
+def _ranked(tried: Sequence[Tried], samples: Samples, kappa: Float[np.ndarray, " n"]) -> list[Tried]:
+    """The simplest of those that are as good as the best, then the others of them."""
+    best = max(tried, key=lambda one: one.gain.value)
+    rivals = [one for one in tried if not gain(one.fit.left_out, best.fit.left_out, samples, kappa).clear(_CERTAIN)]
+    return sorted(rivals, key=lambda one: (one.structure.changes, -one.gain.value))
+
+
+def near(problem: Problem, best: Tried) -> Problem:
+    """The problem in which zeros and gravity stay near a structure. The zero of the first joint turns the whole arm
+    about gravity, and stays where it is."""
+    low, high = problem.low.copy(), problem.high.copy()
+    for name in STRUCTURE & {effect.name for effect in problem.effects}:
+        numbers = {**problem.effect(name).neutral(), **best.structure.numbers().get(name, {})}
+        at = problem.put(problem.theta, name, numbers)
+        places = problem.of(name)
+        low[places], high[places] = at[places] - _NEAR, at[places] + _NEAR
+        if name == HOME:
+            low[places[0]] = high[places[0]] = at[places[0]]
+    return replace(problem, low=low, high=high)
+
+
+def wrapped(problem: Problem, theta: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
+    """The same angles between -π and π."""
+    found = theta.copy()
+    for name in STRUCTURE & {effect.name for effect in problem.effects}:
+        places = problem.of(name)
+        found[places] -= 2 * np.pi * np.round(theta[places] / (2 * np.pi))
+    return found
+
+
+def span_of(samples: Samples) -> SignalRange:
+    """Lowest and highest value of every signal."""
+    state = np.concatenate([samples.reading, samples.v])
+    ends = [np.stack([one.min(1), one.max(1)]) for one in (state, samples.torque, samples.reading)]
+    return SignalRange(*ends)
