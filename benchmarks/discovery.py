@@ -29,6 +29,8 @@ from rich.console import Console
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery, discover_in
 from pgrssnn_jax.discovery.finding import interval
+from pgrssnn_jax.discovery.inverse.discover import discover_by_torques, motion_evidence
+from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
@@ -36,7 +38,8 @@ from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.training.settings import training_settings
 
-# The physics is integrated as it should be, records are whole, and names are what counts: no network is trained.
+# Arms are judged by their torques, where the noise allows it. Elsewhere the physics is integrated as it should be,
+# records are whole, and names are what counts: no network is trained.
 _WHOLE: dict[str, Any] = {"replace": {}, "stretches": [], "network_epochs": 0}
 _AS_USERS: dict[str, Any] = {"network_epochs": 0}  # an arm in stretches, with what discovery changes in it
 _ROOT = Path(__file__).resolve().parents[1]
@@ -68,6 +71,8 @@ def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) 
     """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
     case = suite.build(plan)
     setup = setup_of(case, plan.removed)
+    if (motion := motion_evidence(setup)) is not None:
+        return _by_torques(plan, case, setup, motion)
     if plan.in_other_units or not problems:  # units are part of the program
         problems.clear()
         problem = build_problem(setup.physics, setup.first_effects, fixed=setup.settings.fixed)
@@ -95,6 +100,29 @@ def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) 
         "seconds": seconds,
         "steps": found.seconds,
         **(_by_sindy(case) if sindy and case.system in compare.SYSTEMS else {}),
+    }
+
+
+def _by_torques(plan: Plan, case: Case, setup: Setup, motion: Motion) -> Row:
+    started = time.perf_counter()
+    found = discover_by_torques(setup, motion, lambda line: None)
+    seconds, gains = time.perf_counter() - started, found.chosen.gains
+    names = [*sorted(found.active, key=lambda name: -gains[name].value), *found.friction]
+    models, unit = found.test.models, found.floor or 1.0
+    recalibrated, after = models["recalibrated"].error, models["after"].error
+    return {
+        **plan._asdict(),
+        "verdict": str(found.verdict),
+        "names": names,
+        "right": is_right(case, plan.kind, names, str(found.verdict)),
+        "first": bool(names) and any(names[0] in accepted for accepted in case.accepted),
+        "alternatives": {},
+        "unnamed": None,
+        "errors": [recalibrated / unit, after / unit],
+        "distances": {},
+        "closed": (recalibrated - after) / (recalibrated - unit) if recalibrated > unit else None,
+        "seconds": seconds,
+        "steps": dict(found.seconds),
     }
 
 

@@ -29,12 +29,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
         return (screening.rms() - better) / gap if gap > 0 else 0.0
 
     said: dict[str, Any] = {
-        "name": name,
-        "title": effect.title or effect.name.replace("_", " ").capitalize(),
-        "equation": effect.equation,
-        "cause": effect.cause,
-        "acts_on": effect.acts_on,
-        "channels": effect.channels,
+        **described(effect),
         "parameters": {
             key: {
                 "value": np.asarray(numbers[key]).tolist(),
@@ -58,6 +53,18 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
     if effect.channels == "joint":
         said["joints"] = _joints(effect, numbers, std)
     return said
+
+
+def described(effect: Effect) -> dict[str, Any]:
+    """An effect in words."""
+    return {
+        "name": effect.name,
+        "title": effect.title or effect.name.replace("_", " ").capitalize(),
+        "equation": effect.equation,
+        "cause": effect.cause,
+        "acts_on": effect.acts_on,
+        "channels": effect.channels,
+    }
 
 
 def closed_on_test(found: Discovery, error: float, better: float) -> float:

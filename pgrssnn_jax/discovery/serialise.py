@@ -18,7 +18,14 @@ from pgrssnn_jax.discovery.finding import (
 from pgrssnn_jax.discovery.locate import Box, box, clear, signal_map
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.sentence import sentence
-from pgrssnn_jax.discovery.serialise_numbers import departures, initial_state, numbers, parameters, recalibration
+from pgrssnn_jax.discovery.serialise_numbers import (
+    about_data,
+    departures,
+    initial_state,
+    numbers,
+    parameters,
+    recalibration,
+)
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.effects.stored import physics_to_json
@@ -26,20 +33,13 @@ from pgrssnn_jax.effects.stored import physics_to_json
 
 def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str, Any]:
     """The content of `discovery.json`; `numbers` and `physics` are what `physics.effects=FILE` reads."""
-    problem, estimation = found.problem, setup.estimation
+    problem = found.problem
     effects = [finding(found, name, command) for name in _by_gain(found) if name != found.convention]
     verdict = found.judgement.verdict
     return {
         "schema": 1,
         "system": problem.physics.name,
-        "data": {
-            "source": estimation.info.source,
-            "origin": estimation.info.origin,
-            "n_train": int(estimation.mask.any(-1).sum()),
-            "n_test": int(setup.test.mask.any(-1).sum()),
-            "dt": problem.physics.dt,
-            "timing": "before_step" if found.convention else problem.physics.output_timing,
-        },
+        "data": about_data(setup, "before_step" if found.convention else problem.physics.output_timing),
         "verdict": str(verdict),
         "sentence": sentence(
             found, _gap(found), effects, _alternatives(found), departures(found), remaining(found)["rule"]

@@ -6,8 +6,22 @@ import numpy as np
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import at_bound, interval
+from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.effects.base import add, effects_of, own_of
 from pgrssnn_jax.effects.stored import plain
+
+
+def about_data(setup: Setup, timing: str) -> dict[str, Any]:
+    """Where the records come from, and how many samples were measured."""
+    info, counts = setup.estimation.info, [int(one.mask.any(-1).sum()) for one in (setup.estimation, setup.test)]
+    return {
+        "source": info.source,
+        "origin": info.origin,
+        "n_train": counts[0],
+        "n_test": counts[1],
+        "dt": setup.physics.dt,
+        "timing": timing,
+    }
 
 
 def parameters(found: Discovery) -> dict[str, Any]:

@@ -76,7 +76,8 @@ class Compared(NamedTuple):
 class Found(NamedTuple):
     """theta: nominal, recalibrated and final numbers, by stage; active: places of the effects in θ; friction: places of
     own numbers that left their prior, by the effect that has their law; std: of the last two stages; p_values; without:
-    test error without each effect; shift: samples between a torque and its motion; floor: what noise alone leaves."""
+    test error without each effect; shift: samples between a torque and its motion; floor: what noise alone leaves;
+    freedom: degrees of it, of the deviations."""
 
     problem: Problem
     verdict: Verdict
@@ -91,7 +92,7 @@ class Found(NamedTuple):
     train: Compared
     test: Compared
     floor: float
-    blocks: int
+    freedom: float
     seconds: Mapping[str, float]
 
 
@@ -140,7 +141,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         train=train,
         test=test,
         floor=floor,
-        blocks=samples.blocks,
+        freedom=samples.blocks - 1.0,
         seconds=seconds,
     )
 

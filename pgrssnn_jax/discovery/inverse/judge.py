@@ -63,7 +63,7 @@ def departed(problem: Problem, fit: Fit) -> Int[np.ndarray, " k"]:
 
 def changed_friction(
     problem: Problem, fit: Fit, std: Float[np.ndarray, " p"], names: Mapping[str, str]
-) -> dict[str, Int[np.ndarray, " k"]]:
+) -> dict[str, Int[np.ndarray, " _"]]:
     """Places of own numbers that left their prior for certain, by the effect that has their law; names: the number of
     each effect."""
     own = own_places(problem)

@@ -22,7 +22,7 @@ from pgrssnn_jax.discovery.settings import Criteria
 
 _KNOWN = {"viscous_friction": "B", "coulomb_friction": "Tc"}  # effects whose law is that of a number of the physics
 _FINALISTS = 4
-Active = Mapping[str, Int[np.ndarray, " k"]]
+Active = Mapping[str, Int[np.ndarray, " _"]]
 
 
 class Model(NamedTuple):
@@ -225,7 +225,7 @@ def _joints_pruned(search: Search, now: Model) -> Model:
         idle: list[tuple[float, str, int]] = []
         for name, places in now.active.items():
             for place in places[[problem.slots[i].label.endswith("]") for i in places]] if len(places) > 1 else ():
-                theta, active, keeps = _one_less(problem, now, name, place)
+                theta, active, keeps = _one_less(problem, now, name, int(place))
                 fit = search.linear(theta, active, now.fit.derivatives[keeps])
                 if not (found := search.gain(fit, now.fit)).clear(search.criteria.certain):
                     idle.append((found.value, name, int(place)))

@@ -10,6 +10,7 @@ from pgrssnn_jax.discovery.inverse.discover import Compared, Found, rival_struct
 from pgrssnn_jax.discovery.inverse.judge import departed
 from pgrssnn_jax.discovery.inverse.select import own_places
 from pgrssnn_jax.discovery.inverse.serialise_effects import findings, open_gap
+from pgrssnn_jax.discovery.serialise_numbers import about_data
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.effects.base import effects_of, own_of
@@ -20,19 +21,12 @@ _TIMING = {0.0: "position read before the torque", 0.5: "position read half a sa
 
 
 def torques_json(found: Found, setup: Setup, *, command: str) -> dict[str, Any]:
-    problem, estimation = found.problem, setup.estimation
+    problem = found.problem
     effects, gap = findings(found, command), _gap(found)
     return {
         "schema": 1,
         "system": problem.physics.name,
-        "data": {
-            "source": estimation.info.source,
-            "origin": estimation.info.origin,
-            "n_train": int(estimation.mask.any(-1).sum()),
-            "n_test": int(setup.test.mask.any(-1).sum()),
-            "dt": problem.physics.dt,
-            "timing": problem.physics.output_timing,
-        },
+        "data": about_data(setup, problem.physics.output_timing),
         "verdict": str(found.verdict),
         "sentence": _sentence(found, gap, effects),
         "evidence": {
@@ -128,7 +122,7 @@ def _own(found: Found, stage: str) -> dict[str, Any]:
     problem, theta, std = found.problem, found.theta[stage], found.std[stage]
     said = {}
     for i in own_places(problem):
-        numbers = {"std": float(std[i]), "interval": interval(theta[i], std[i], found.blocks - 1)}
+        numbers = {"std": float(std[i]), "interval": interval(theta[i], std[i], found.freedom)}
         at = {"value": float(theta[i]), "at_bound": bool(theta[i] in (problem.low[i], problem.high[i]))}
         moved = {"before": float(problem.theta[i]), "after": float(theta[i])}
         unit = {"unit": problem.slots[i].meaning.unit}

@@ -4,11 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.discovery.finding import interval
+from pgrssnn_jax.discovery.finding import at_bound, described, interval
 from pgrssnn_jax.discovery.inverse.discover import Found
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.arm_torques import torque_effects
-from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import plain
 
 _EVERYWHERE: dict[str, Any] = {"region": "everywhere", "active_fraction": 1.0, "sequence": 1, "intervals_s": []}
@@ -30,20 +29,15 @@ def _finding(found: Found, name: str, command: str) -> dict[str, Any]:
     std = problem.params(found.std["after"]).effects[name]
     without = found.without.get(name)
     said: dict[str, Any] = {
-        "name": name,
-        "title": effect.title,
-        "equation": effect.equation,
-        "cause": effect.cause,
-        "acts_on": effect.acts_on,
-        "channels": effect.channels,
+        **described(effect),
         "parameters": {
             key: {
                 "value": plain(np.asarray(numbers[key])),
                 "std": plain(np.asarray(std[key])),
-                "interval": plain(interval(numbers[key], std[key], found.blocks - 1)),
+                "interval": plain(interval(numbers[key], std[key], found.freedom)),
                 "unit": meaning.unit,
                 "symbol": meaning.symbol,
-                "at_bound": _at_bound(effect, key, numbers[key]),
+                "at_bound": at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
             }
             for key, meaning in effect.parameters.items()
         },
@@ -55,7 +49,7 @@ def _finding(found: Found, name: str, command: str) -> dict[str, Any]:
         "command": command,
     }
     if effect.channels == "joint":
-        said["joints"] = [_joint(problem, place) for place in places]
+        said["joints"] = [_joint(problem, int(place)) for place in places]
     return said
 
 
@@ -67,13 +61,13 @@ def _friction(found: Found, name: str, command: str) -> dict[str, Any]:
     key, meaning = next(iter(known.parameters.items()))
     before, after = found.theta["before"], found.theta["after"]
     change, std = np.zeros(n), np.zeros(n)
-    joints = [_joint(problem, place) for place in places]
+    joints = [_joint(problem, int(place)) for place in places]
     for joint, place in zip(joints, places, strict=True):
         change[joint - 1], std[joint - 1] = after[place] - before[place], found.std["after"][place]
     numbers = {
         "value": change.tolist(),
         "std": std.tolist(),
-        "interval": interval(change, std, found.blocks - 1),
+        "interval": interval(change, std, found.freedom),
         "unit": meaning.unit,
         "symbol": f"Δ{meaning.symbol}",
         "at_bound": [False] * n,
@@ -81,12 +75,9 @@ def _friction(found: Found, name: str, command: str) -> dict[str, Any]:
         "after": [float(after[place]) for place in places],
     }
     return {
-        "name": name,
+        **described(known),
         "title": known.title.replace("More ", "Other "),
-        "equation": known.equation,
         "cause": "friction that is known to the physics is another one than it says",
-        "acts_on": known.acts_on,
-        "channels": known.channels,
         "parameters": {key: numbers},
         **_EVERYWHERE,
         "p_value": None,
@@ -101,14 +92,6 @@ def _friction(found: Found, name: str, command: str) -> dict[str, Any]:
 def _joint(problem: Problem, place: int) -> int:
     """From 1, by the index in the label of the number."""
     return int(problem.slots[place].label.rpartition("[")[2].rstrip("]"))
-
-
-def _at_bound(effect: Effect, key: str, value: Any) -> list[bool] | bool:
-    low, high = effect.parameters[key].bounds
-    neutral = effect.parameters[key].neutral
-    ends = [end for end in (low, high) if np.isfinite(end) and end != neutral]
-    near = np.any([np.isclose(value, end) for end in ends], axis=0) if ends else np.zeros(np.shape(value), bool)
-    return np.asarray(near).tolist()
 
 
 def open_gap(found: Found) -> float:

@@ -1,0 +1,99 @@
+"""Hidden effects are found by torques alone, from logs that another library made."""
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_logs import KUKA, log
+
+import pgrssnn_jax as pg
+from pgrssnn_jax.physics.arms.tables import pinocchio_model
+
+QUIET = {"network_epochs": 0, "quiet": True}
+
+
+def discovered(**changes):
+    nominal = pg.physics.arm(gravity=tuple(KUKA.gravity))
+    return pg.discover(nominal, log(1, **changes), log(2, sequences=3, **changes), **QUIET)
+
+
+def loaded(mass, place, gyration=0.1):
+    model = pinocchio_model(KUKA)
+    body = pin.Inertia(mass, np.zeros(3), mass * gyration**2 * np.eye(3))
+    model.appendBodyToJoint(KUKA.n, body, pin.SE3(np.eye(3), KUKA.tip + np.asarray(place)))
+    return model
+
+
+def numbers(found):
+    return {e.name: {k: np.asarray(p["value"]) for k, p in e.parameters.items()} for e in found.effects}
+
+
+@pytest.mark.slow
+def test_a_payload_is_weighed_and_everything_is_told(tmp_path):
+    """The tip of this arm points against the last joint's axis: outwards is -z."""
+    found = discovered(model=loaded(80.0, (0.05, 0.0, -0.15)))
+    assert found.verdict == "effect_found"
+    assert [effect.name for effect in found.effects] == ["payload"]
+    payload = numbers(found)["payload"]
+    assert payload["mass"] == pytest.approx(80.0, rel=0.03)
+    assert payload["distance"] == pytest.approx(0.15, abs=0.02)
+    assert payload["x"] == pytest.approx(0.05, abs=0.02)
+    low, high = found.effects[0].parameters["mass"]["interval"]
+    assert low < 80.0 < high
+    assert found.gap["after"]["test"] < 0.3 * found.gap["recalibrated"]["test"]
+    assert found.details["evidence"]["kind"] == "inverse_dynamics"
+    assert [row["joint"] for row in found.details["joints"]] == [1, 2, 3, 4, 5, 6]
+    found.save(tmp_path / "run")
+    saved = json.loads((tmp_path / "run" / "discovery.json").read_text(), parse_constant=pytest.fail)
+    assert saved["numbers"]["order"] == ["payload"]
+    assert {path.stem for path in (tmp_path / "run" / "figures").iterdir()} == {
+        "torques", "joints", "candidates", "shifts"
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_nothing_is_found_where_nothing_is_missing():
+    found = discovered()
+    assert found.verdict in ("no_discrepancy", "miscalibrated")
+    assert not found.effects
+
+
+@pytest.mark.slow
+def test_inverted_gravity_and_a_turned_joint_are_found_behind_a_payload():
+    """A wrong structure and what could stand in for it, both."""
+    upside_down = KUKA._replace(gravity=-KUKA.gravity)
+    model = pinocchio_model(upside_down)
+    body = pin.Inertia(60.0, np.zeros(3), 60.0 * 0.01 * np.eye(3))
+    model.appendBodyToJoint(KUKA.n, body, pin.SE3(np.eye(3), KUKA.tip + np.array([0.0, 0.0, -0.1])))
+    home = np.array([0.0, 0.0, -np.pi / 2, 0.0, 0.0, 0.0])
+    found = numbers(discovered(tables=upside_down, model=model, home=home))
+    assert {"gravity_direction", "home_offset", "payload"} <= set(found)
+    assert abs(found["gravity_direction"]["about_x"]) == pytest.approx(np.pi, abs=0.02)
+    np.testing.assert_allclose(found["home_offset"]["offset"], home, atol=0.02)
+    assert found["payload"]["mass"] == pytest.approx(60.0, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "changes", "key", "value"),
+    [
+        ("torque_bias", {"bias": np.array([0.0, 150.0, -80.0, 0.0, 0.0, 0.0])}, "theta", [0, 150, -80, 0, 0, 0]),
+        ("home_offset", {"home": np.array([0, 0.06, -0.05, 0, 0, 0])}, "offset", [0, 0.06, -0.05, 0, 0, 0]),
+        ("torque_gain", {"gain": np.array([1, 1, 1.12, 1, 1, 1])}, "gain", [1, 1, 1.12, 1, 1, 1]),
+    ],
+)
+def test_single_effects_are_named_with_their_joints(name, changes, key, value):
+    found = discovered(**changes)
+    assert found.effects[0].name == name
+    np.testing.assert_allclose(numbers(found)[name][key], value, rtol=0.15, atol=0.1 * np.abs(value).max())
+
+
+@pytest.mark.slow
+def test_friction_that_is_another_one_is_named_and_ten_per_cent_are_not():
+    more = np.array([1.0, 1.0, 1.5, 1.0, 1.0, 1.0])
+    names = {effect.name: effect.joints for effect in discovered(friction=more).effects}
+    assert set(names) == {"coulomb_friction", "viscous_friction"}
+    assert set(names.values()) == {(3,)}
+    off = 1 + 0.1 * np.array([1, -1, 1, -1, 1, -1])
+    assert not discovered(friction=off).effects

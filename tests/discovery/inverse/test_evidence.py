@@ -1,0 +1,64 @@
+"""Torque errors and their derivatives against Pinocchio and finite differences."""
+
+import numpy as np
+import pytest
+from arm_logs import DT, KUKA, log
+
+from pgrssnn_jax.discovery.inverse.evidence import fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.motion import motion_of, thinned
+from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.arms.build import arm
+
+pytestmark = pytest.mark.usefixtures("x64")
+NOT_SEEN = {"joint_limit", "stiction", "velocity_disturbance"}
+
+
+@pytest.fixture(scope="module")
+def physics():
+    return arm(derivatives="forward", gravity=tuple(KUKA.gravity))
+
+
+def some(record, count=40):
+    motion = motion_of(record, DT, at_rest=False, shift=1.0)
+    return samples_of(thinned(motion, motion.v.shape[1] * len(motion.v) // count), fastest_of(motion))
+
+
+def test_what_is_no_torque_is_not_judged(physics):
+    names = {effect.name for effect in catalogue(physics)}
+    assert {effect.name for effect in judged(physics, catalogue(physics))} == names - NOT_SEEN
+
+
+def test_a_true_model_leaves_the_noise_of_the_torques(physics):
+    problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
+    samples = some(log(0, torque_noise=0.02, noise=0.0), 400)
+    error = torques(problem).errors(problem.theta, samples)[samples.moving]
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_derivatives_are_those_of_finite_differences(physics):
+    """At numbers at which every effect acts."""
+    problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
+    model, samples = torques(problem), some(log(1))
+    rng = np.random.default_rng(0)
+    theta = problem.theta + np.abs(rng.normal(size=len(problem.theta))) * 0.05
+    theta = problem.put(theta, "gravity_counterbalance", {"moment": 500.0, "angle": 0.3})
+    theta = problem.put(theta, "payload", {"mass": 40.0, "distance": 0.2, "x": 0.1, "y": -0.1, "gyration": 0.2})
+    places = np.concatenate([problem.of(None), *(problem.of(effect.name) for effect in problem.effects)])
+    found = model.derivatives(theta, samples, places)
+    for k, place in enumerate(places):
+        step = np.zeros_like(theta)
+        step[place] = 1e-6 * max(abs(theta[place]), 1e-2)
+        ends = [model.errors(theta + sign * step, samples) for sign in (1.0, -1.0)]
+        expected = (ends[0] - ends[1]) / (2 * step[place])
+        scale = np.abs(expected).max() + 1e-9
+        np.testing.assert_allclose(found[k] / scale, expected / scale, atol=2e-5, err_msg=problem.slots[place].label)
+
+
+def test_blocks_are_sequences_or_parts_of_few():
+    motion = motion_of(log(0, sequences=6, samples=300), DT, at_rest=False)
+    few = samples_of(motion, fastest_of(motion))
+    assert few.blocks == 24
+    assert len(few.block) == motion.v.shape[0] * motion.v.shape[1]
+    many = motion_of(log(0, sequences=30, samples=60), DT, at_rest=False)
+    assert samples_of(many, fastest_of(many)).blocks == 30

@@ -1,0 +1,50 @@
+import numpy as np
+import pytest
+from arm_logs import DT, log, path
+
+from pgrssnn_jax.discovery.inverse.motion import motion_of, spectrum_of, thinned
+
+
+def test_speeds_and_accelerations_are_those_of_the_path():
+    """The reading of row t is that of its end: a whole sample after its torque."""
+    _, v, a = path(np.random.default_rng(0), 6, 300)
+    found = motion_of(log(0, noise=0.0), DT, at_rest=False, shift=1.0)
+    kept = slice((300 - found.v.shape[1]) // 2, 300 - (300 - found.v.shape[1]) // 2)
+    for one, true in ((found.v, v[:, kept]), (found.a, a[:, kept])):
+        error = one - true
+        assert error.std() < 0.05 * true.std()
+        assert error[:, 30:-30].std() < 1e-3 * true.std()  # a filter knows one side of an end
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
+def test_the_noise_of_accelerations_is_what_the_spectrum_says(noise):
+    """The cut-off leaves the motion, and the noise that is foretold is that of the difference from the true path."""
+    _, _, a = path(np.random.default_rng(1), 12, 600)
+    quiet, loud = (log(1, sequences=12, samples=600, noise=n) for n in (0.0, noise))
+    found = motion_of(loud, DT, at_rest=False, shift=1.0)
+    assert found.cutoff is not None
+    same = motion_of(quiet, DT, at_rest=False, shift=1.0, cutoff=found.cutoff)
+    error = (found.a - same.a).std(axis=(0, 1)) / a.std(axis=(0, 1))
+    np.testing.assert_allclose(found.noise, error, rtol=0.5)
+    assert found.cutoff > 0.23 / 2
+
+
+def test_the_floor_of_a_spectrum_is_that_of_white_noise():
+    y = 0.01 * np.random.default_rng(0).normal(size=(20, 1000, 2))
+    _, floor = spectrum_of(y, DT)
+    np.testing.assert_allclose(floor * 0.5 / DT, 1e-4, rtol=0.1)
+
+
+def test_thinned_motions_keep_every_nth_sample():
+    whole = motion_of(log(0, samples=100), DT, at_rest=False)
+    few = thinned(whole, 7)
+    np.testing.assert_array_equal(few.a, whole.a[:, ::7])
+    assert few.spacing == pytest.approx(7 * DT)
+
+
+def test_missing_positions_are_refused():
+    record = log(0, samples=50)
+    mask = np.asarray(record.mask).copy()
+    mask[0, 3] = False
+    with pytest.raises(ValueError, match="all positions measured, found missing ones"):
+        motion_of(record._replace(mask=mask), DT, at_rest=False)
