@@ -41,7 +41,9 @@ def arm_effects(physics: Physics) -> tuple[Effect, ...]:
     own, n = own_of(physics.params), len(physics.inputs)
     gear = np.abs(np.asarray(own["G"], np.float64))
     left_out = {name for symbol, name in _KNOWN.items() if symbol in own}
-    found = (*torque_effects(n, gear), *mass_effects(n), *joint_effects(n))
+    points = points_of(physics)
+    wrist = points is not None and points.wrist
+    found = (*torque_effects(n, gear, wrist=wrist), *mass_effects(n), *joint_effects(n))
     return tuple(effect for effect in found if effect.name not in left_out)
 
 

@@ -10,6 +10,7 @@ from pgrssnn_jax.physics.arms.points import ArmPoints
 from pgrssnn_jax.physics.base import Parameter, Physics, extension_of
 
 INFINITE = float("inf")
+STANDSTILL = 0.02  # rad/s: v0 of dry friction
 
 
 def points_of(physics: Physics) -> ArmPoints | None:

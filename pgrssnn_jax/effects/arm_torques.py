@@ -5,9 +5,8 @@
         - k sin(q₂ - φ)                                                      counterbalance of the second joint
 
 u: motor torque, Nm; G: gear ratio; B (Nm s), Tc, Ts (Nm): on the motor side; θ, k: Nm on the link side. v0 is small
-and fixed: a tanh in place of a sign, so that a fit sees the friction of a joint that turns. C: the last motors of a
-wrist drive the joints before them as well, c45 being the part of motor 5 that joint 4 feels:
-C = 1 + c45 e₄e₅ᵀ + c46 e₄e₆ᵀ + c56 e₅e₆ᵀ. Numbers are per joint unless said otherwise.
+and fixed: a tanh in place of a sign, so that a fit sees the friction of a joint that turns. C: the coupling of a wrist
+(`arm_wrist.py`). Numbers are per joint unless said otherwise.
 Source of the friction: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994).
 """
 
@@ -17,18 +16,18 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.arm_common import INFINITE, arm_effect, largest
+from pgrssnn_jax.effects.arm_common import INFINITE, STANDSTILL, arm_effect, largest
+from pgrssnn_jax.effects.arm_wrist import wrist_coupling
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange
 from pgrssnn_jax.physics.arms.points import Joints
 from pgrssnn_jax.physics.base import Parameter
 
-WRIST = 6  # joints of an arm whose last three are a wrist
-_STANDSTILL = 0.02  # rad/s, v0
 _PUSH = 0.05  # of the largest motor torque: where a fit of friction begins
 
 
-def torque_effects(n: int, gear: np.ndarray) -> tuple[Effect, ...]:
-    """Of an arm of n joints. gear: its size gives the fit of a counterbalance a torque to begin with."""
+def torque_effects(n: int, gear: np.ndarray, *, wrist: bool = False) -> tuple[Effect, ...]:
+    """Of an arm of n joints. wrist: the last three are one. gear: its size gives the fit of a counterbalance a
+    torque to begin with."""
     effect = partial(arm_effect, n)
     return (
         effect(
@@ -41,7 +40,7 @@ def torque_effects(n: int, gear: np.ndarray) -> tuple[Effect, ...]:
             cause="a motor delivers more or less torque than its current says, or the gear loses some of it",
             acts_on="input",
         ),
-        *((wrist_coupling(),) if n == WRIST else ()),
+        *((wrist_coupling(n),) if wrist else ()),
         effect(
             "torque_bias",
             "torque",
@@ -64,31 +63,13 @@ def torque_effects(n: int, gear: np.ndarray) -> tuple[Effect, ...]:
         effect(
             "coulomb_friction",
             "torque",
-            lambda n, own, tau, q, v, drive: tau - jnp.abs(own["G"]) * n["Tc"] * jnp.tanh(v / _STANDSTILL),
+            lambda n, own, tau, q, v, drive: tau - jnp.abs(own["G"]) * n["Tc"] * jnp.tanh(v / STANDSTILL),
             {"Tc": Parameter("Tc", "Nm", bounds=(0.0, INFINITE), neutral=0.0)},
             title="More Coulomb friction",
             equation="τ = ... - |G| Tc tanh(q̇ / 0.02 rad/s)",
             cause="dry friction brakes a joint at any speed, beyond what is known",
         ),
         stribeck_friction(n),
-    )
-
-
-def wrist_coupling() -> Effect:
-    def coupled(n: Any, own: Any, drive: Joints, u: Joints) -> Joints:
-        return drive.at[-3].add(n["c45"] * drive[-2] + n["c46"] * drive[-1]).at[-2].add(n["c56"] * drive[-1])
-
-    return arm_effect(
-        WRIST,
-        "wrist_coupling",
-        "drive",
-        coupled,
-        {name: Parameter(name, "", bounds=(-2.0, 2.0), neutral=0.0) for name in ("c45", "c46", "c56")},
-        per_joint=False,
-        title="Coupling of the wrist's motors",
-        equation="τ4 += c45 G5 u5 + c46 G6 u6,  τ5 += c56 G6 u6",
-        cause="the drives of the last joints run through the wrist, and their torque turns the joints before as well",
-        acts_on="input",
     )
 
 
@@ -124,7 +105,7 @@ def stribeck_friction(n: int) -> Effect:
 
     def braked(n: Any, own: Any, tau: Joints, q: Joints, v: Joints, drive: Joints) -> Joints:
         slow = jnp.exp(-((v / n["speed"]) ** 2))
-        return tau - jnp.abs(own["G"]) * n["torque"] * slow * jnp.tanh(v / _STANDSTILL)
+        return tau - jnp.abs(own["G"]) * n["torque"] * slow * jnp.tanh(v / STANDSTILL)
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
         fastest = float(largest(span.x, n)[:n].max())

@@ -17,7 +17,7 @@ MASSES = {"payload", "rotor_inertia", "gravity_direction"}
 SPEED = np.linspace(0.01, 0.4, 6)
 NUMBERS: dict[str, dict[str, Any]] = {
     "torque_gain": {"gain": np.linspace(0.8, 1.2, 6)},
-    "wrist_coupling": {"c45": 0.1, "c46": -0.2, "c56": 0.3},
+    "wrist_coupling": {"c45": 0.1, "c46": -0.2, "c56": 0.3, "ratio": -0.7, "B": 0.02, "Tc": 0.3},
     "torque_bias": {"theta": np.linspace(-4.0, 5.0, 6)},
     "gravity_counterbalance": {"moment": 300.0, "angle": 0.4},
     "viscous_friction": {"B": np.linspace(0.0, 0.01, 6)},

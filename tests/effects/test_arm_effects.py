@@ -15,6 +15,7 @@ from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
 pytestmark = pytest.mark.usefixtures("x64")
 KUKA = described("kuka_kr300")
 G = KUKA.gear
+EULER = arm(integrator="euler", dt=DT, limits=False)
 
 
 def with_drive(drive, v):
@@ -25,7 +26,9 @@ def coupled(u, v):
     drive = G * u
     drive[3] += 0.1 * drive[4] - 0.2 * drive[5]
     drive[4] += 0.3 * drive[5]
-    return with_drive(drive, v)
+    tau, speed = with_drive(drive, v), v[5] - 0.7 * v[4]
+    tau[4:] -= np.array([-0.7, 1.0]) * (G[5] ** 2 * 0.02 * speed + abs(G[5]) * 0.3 * np.tanh(speed / 0.02))
+    return tau
 
 
 def balanced(q, u, v):
@@ -92,6 +95,22 @@ def test_masses_accelerate_as_in_pinocchios_changed_model(name, build):
     data = model.createData()
     expected = [pin.aba(model, data, q, v, with_drive(G * a, v)).copy() for q, v, a in zip(*halves(x), u, strict=True)]
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_a_last_motor_that_turns_with_two_joints_weighs_on_both():
+    """M + c I cᵀ with c = (0, 0, 0, 0, r, 1), solved as a whole."""
+    x, u = samples(12)
+    inertia, c = 0.004 * G[5] ** 2, np.array([0.0, 0.0, 0.0, 0.0, 0.8, 1.0])
+    heavier = add(EULER, effect("wrist_coupling"), numbers={"wrist_coupling": {"J": 0.004, "ratio": 0.8}})
+    step = quick_jit(jax.vmap(lambda x, u: heavier.step(heavier.params, x, u)))
+    found = (np.asarray(step(x, u)) - x)[:, 6:] / DT
+    model = pinocchio_model(KUKA)
+    data = model.createData()
+    for one, (q, v, motor) in zip(found, zip(*halves(x), u, strict=True), strict=True):
+        upper = np.triu(pin.crba(model, data, q))
+        whole = upper + np.triu(upper, 1).T + inertia * np.outer(c, c)
+        rest = with_drive(G * motor, v) - pin.rnea(model, data, q, v, np.zeros(6))
+        np.testing.assert_allclose(one, np.linalg.solve(whole, rest), rtol=1e-8, atol=1e-8)
 
 
 def test_a_joint_stops_at_its_limit_and_leaves_it_freely():

@@ -9,7 +9,8 @@ import pytest
 from toys import toy_physics
 
 from pgrssnn_jax.effects.arm import arm_effects, gravity_direction, home_offset, joint_effects, mass_effects
-from pgrssnn_jax.effects.arm_torques import torque_effects, wrist_coupling
+from pgrssnn_jax.effects.arm_torques import torque_effects
+from pgrssnn_jax.effects.arm_wrist import wrist_coupling
 from pgrssnn_jax.effects.base import Effect, add
 from pgrssnn_jax.effects.lgssm import feedthrough, quadratic_damping
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects, input_delay
@@ -119,7 +120,7 @@ def test_a_changed_step_is_not_assembled_again():
 @pytest.mark.parametrize("outside", ["input_offset", "input_delay", "sensor_gain", "home_offset"])
 def test_effects_around_a_step_and_inside_it_come_in_any_order(outside):
     physics = arm(integrator="euler")
-    inside = (PAYLOAD, wrist_coupling())
+    inside = (PAYLOAD, wrist_coupling(6))
     around = home_offset(6) if outside == "home_offset" else {e.name: e for e in any_system_effects(physics)}[outside]
     numbers = {
         "payload": {"mass": 40.0, "distance": 0.3},

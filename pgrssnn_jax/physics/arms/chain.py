@@ -37,13 +37,15 @@ class Extra(NamedTuple):
 
     payload: its mass, kg, the distance of its centre outwards from the tip along the last joint's axis, its place
     across it along x and y of the last joint's frame, and its radius of gyration, the same about every axis, m, `[5]`;
-    rotor: armature beside the tables', kg m² on the link side, `[n]`; gravity: in place of the tables', m/s², `[3]`.
+    rotor: armature beside the tables', kg m² on the link side, `[n]`; gravity: in place of the tables', m/s², `[3]`;
+    wrist: inertia of the last motor, kg m² on the link side, and r, where it turns with q̇_n + r q̇_{n-1}, `[2]`.
     With these the tables are no constants of the compiled program any more.
     """
 
     payload: jax.Array | None = None
     rotor: jax.Array | None = None
     gravity: jax.Array | None = None
+    wrist: jax.Array | None = None
 
 
 class World(NamedTuple):
@@ -189,7 +191,12 @@ def _combine(weights: np.ndarray, columns: list[jax.Array]) -> jax.Array:
 def torques(chain: Chain, world: World, v: Batch, a: Batch, extra: Extra) -> Batch:
     """τ = M(q) q̈ + h(q, q̇)."""
     rotor = 0.0 if extra.rotor is None else extra.rotor
-    return bias(chain, world, v, extra, a) + (chain.column(chain.tables.armature, a) + rotor) * a
+    tau = bias(chain, world, v, extra, a) + (chain.column(chain.tables.armature, a) + rotor) * a
+    if extra.wrist is None:
+        return tau
+    inertia, ratio = extra.wrist
+    turning = inertia * (a[-1] + ratio * a[-2])
+    return tau.at[-1].add(turning).at[-2].add(ratio * turning)
 
 
 def bias(chain: Chain, world: World, v: Batch, extra: Extra, a: Batch | None = None) -> Batch:
@@ -223,6 +230,12 @@ def mass(chain: Chain, world: World, extra: Extra) -> list[list[Any]]:
             upper[k][k] = upper[k][k] + extra.rotor[k]
         for j in chain.below(k):
             upper[j][k] = product[j, k]
+    if extra.wrist is not None:
+        inertia, ratio = extra.wrist
+        last, before = chain.n - 1, chain.parents[-1]
+        upper[last][last] = upper[last][last] + inertia
+        upper[before][last] = upper[before][last] + ratio * inertia
+        upper[before][before] = upper[before][before] + ratio**2 * inertia
     return upper
 
 

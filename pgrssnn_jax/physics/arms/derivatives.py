@@ -165,6 +165,7 @@ def _by_extra(chain: Chain, world: World, motion: Motion, a: Batch, extra: Extra
         None if extra.payload is None else _by_payload(chain, world, motion, extra.payload),
         None if extra.rotor is None else jnp.eye(chain.n, dtype=a.dtype)[:, :, None] * a[:, None],
         None if extra.gravity is None else _by_gravity(chain, world),
+        None if extra.wrist is None else _by_wrist(chain, a, extra.wrist),
     )
 
 
@@ -183,6 +184,16 @@ def _by_payload(chain: Chain, world: World, motion: Motion, payload: jax.Array) 
     by.append(scale(2.0 * payload[:1] * gyration, alpha) + nothing)
     carries = chain.column(np.isin(np.arange(chain.n), [chain.n - 1, *chain.below(chain.n - 1)]), payload)
     return jnp.stack([carries * dot(world.axes, one) for one in by], 1)
+
+
+def _by_wrist(chain: Chain, a: Batch, wrist: jax.Array) -> Matrix:
+    """Of an inertia I that turns with ẇ = q̈_n + r q̈_{n-1}: (r ẇ, ẇ) by I and I (ẇ + r q̈_{n-1}, q̈_{n-1}) by r, on
+    the last two joints."""
+    (inertia, ratio), before = wrist, a[-2]
+    turning = a[-1] + ratio * before
+    by_inertia, by_ratio = [ratio * turning, turning], [inertia * (turning + ratio * before), inertia * before]
+    others = [jnp.zeros_like(before)] * (chain.n - 2)
+    return jnp.stack([jnp.stack([*others, *by]) for by in (by_inertia, by_ratio)], 1)
 
 
 def _by_gravity(chain: Chain, world: World) -> Matrix:

@@ -24,6 +24,7 @@ from pgrssnn_jax.physics.arms.tables import ArmTables
 
 Joints = Float[jax.Array, " n"]
 State = Float[jax.Array, " x"]
+_WITH_WRIST = 6  # joints
 
 
 class ArmPoints(NamedTuple):
@@ -33,7 +34,8 @@ class ArmPoints(NamedTuple):
     side; position(p, reading) -> rad, where the state holds what encoders read; masses(p) -> Extra, None where the
     moving masses are those of the tables whatever an effect says (Pinocchio); inverse(p, q, q̇, q̈, extra) -> Nm that a
     motion takes on the link side, for many samples at once `[n, batch]`; stop(p, x) -> x;
-    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. gravity: of the tables, m/s², `[3]`.
+    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. gravity: of the tables, m/s², `[3]`; wrist: are there
+    six joints, the last three of which follow one another?
     """
 
     drive: Callable[[Any, Joints], Joints]
@@ -45,6 +47,7 @@ class ArmPoints(NamedTuple):
     disturbance: Callable[[Any, State, State], State]
     measure: Callable[[Any, State, Joints], Joints]
     gravity: Float[np.ndarray, "3"]
+    wrist: bool
 
 
 def own_points(tables: ArmTables, *, masses: bool, measured: bool) -> ArmPoints:
@@ -65,6 +68,7 @@ def own_points(tables: ArmTables, *, masses: bool, measured: bool) -> ArmPoints:
         disturbance=_known_disturbance,
         measure=_positions if measured else _nothing,
         gravity=tables.gravity,
+        wrist=tables.n == _WITH_WRIST and tables.parents[-2:] == (tables.n - 3, tables.n - 2),
     )
 
 

@@ -104,7 +104,7 @@ def test_pinocchios_backend_says_that_its_masses_are_its_own():
 
 
 def test_the_torque_of_a_motion_is_pinocchios(tables):
-    """Inverse dynamics, with a payload, rotors and another gravity."""
+    """Inverse dynamics, with a payload, rotors, another gravity and a coupled last motor."""
     n, more = tables.n, np.linspace(0.1, 1.0, tables.n)
     q, v, a = np.random.default_rng(3).normal(size=(3, 5, n))
     model = pinocchio_model(tables)
@@ -115,7 +115,10 @@ def test_the_torque_of_a_motion_is_pinocchios(tables):
     model.gravity.linear = np.array([1.0, -2.0, 8.0])
     data = model.createData()
     expected = [pin.rnea(model, data, in_model(model, one), *rest) for one, *rest in zip(q, v, a, strict=True)]
-    extra = Extra(jnp.array([MASS, DISTANCE, *ACROSS, GYRATION]), jnp.asarray(more), jnp.array([1.0, -2.0, 8.0]))
+    turning = 0.7 * (a[:, -1] - 1.5 * a[:, -2])
+    expected = np.array(expected) + turning[:, None] * np.r_[np.zeros(n - 2), -1.5, 1.0]
+    payload, gravity = jnp.array([MASS, DISTANCE, *ACROSS, GYRATION]), jnp.array([1.0, -2.0, 8.0])
+    extra = Extra(payload, jnp.asarray(more), gravity, jnp.array([0.7, -1.5]))
     inverse = own_points(tables, masses=True, measured=True).inverse
     np.testing.assert_allclose(
         inverse({}, *(jnp.asarray(part.T) for part in (q, v, a)), extra).T, expected, rtol=1e-9, atol=1e-9
