@@ -24,7 +24,7 @@ from pgrssnn_jax.physics.arms.chain import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import Derivatives, ForwardDynamics
 from pgrssnn_jax.physics.arms.kinematics import skeleton
 from pgrssnn_jax.physics.arms.points import ArmPoints, own_points
-from pgrssnn_jax.physics.arms.tables import ArmTables, described
+from pgrssnn_jax.physics.arms.tables import ArmTables, described, without_inertia
 from pgrssnn_jax.physics.arms.urdf import read_urdf
 from pgrssnn_jax.physics.base import Measure, Parameter, Physics, Signal, Step, discrete, extended, remembered
 from pgrssnn_jax.physics.integrate import zero_order_hold
@@ -129,7 +129,6 @@ def arm(
         step = _step(points, advance, tables, limits=limits, stopped=physics_gradient == "stopped")
         return step, points.measure
 
-    numbered = ", ".join(f"{i} {name}" for i, name in enumerate(tables.joints, 1))
     points = own_points(tables, masses=backend == "jax", measured=measured)
     physics = discrete(
         "arm",
@@ -141,10 +140,17 @@ def arm(
         outputs=_outputs(tables, limits=limits),
         dt=dt,
         skeleton=skeleton(tables) if tables.parents == tuple(range(-1, tables.n - 1)) else None,
-        remark=f"joints of {tables.name}: {numbered}" if urdf is not None else "",
+        remark=_remark(tables) if urdf is not None else "",
         differentiable=physics_gradient == "full",
     )
     return extended(physics, points, assemble)
+
+
+def _remark(tables: ArmTables) -> str:
+    numbered = ", ".join(f"{i} {name}" for i, name in enumerate(tables.joints, 1))
+    light = without_inertia(tables)
+    warned = f"; without any inertia, so that they cannot be simulated before physics.motor_inertia is given: {light}"
+    return f"joints of {tables.name}: {numbered}{warned if light else ''}"
 
 
 def per_joint(name: str, value: Any, tables: ArmTables) -> Float[np.ndarray, " n"]:

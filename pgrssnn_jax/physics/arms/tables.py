@@ -15,6 +15,7 @@ from jaxtyping import Float
 from omegaconf import OmegaConf
 
 PerJoint = Float[np.ndarray, " n"]
+_NO_INERTIA = 1e-9  # kg m²
 
 
 class ArmTables(NamedTuple):
@@ -163,6 +164,14 @@ def pinocchio_model(tables: ArmTables) -> pin.Model:
     model.armature = np.array(tables.armature)
     model.gravity.linear = np.array(tables.gravity)
     return model
+
+
+def without_inertia(tables: ArmTables) -> list[str]:
+    """Joints that turn neither mass nor motor: they have no acceleration. Looked at in a pose in which no axis meets a
+    centre of mass."""
+    model = pinocchio_model(tables)
+    own = np.diag(pin.crba(model, model.createData(), 0.3 + 0.1 * np.arange(tables.n)))
+    return [name for name, inertia in zip(tables.joints, own, strict=True) if not inertia > _NO_INERTIA]
 
 
 def _body(tables: ArmTables, i: int) -> pin.Inertia:

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 
-from pgrssnn_jax.physics.arms.tables import ArmTables, pinocchio_model, tables_of
+from pgrssnn_jax.physics.arms.tables import ArmTables, tables_of
 
 
 def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
     """Tables of a URDF; lock: names of joints that are held at their neutral position (a gripper's fingers, say).
 
     Gear ratios are 1, motors have no inertia, friction and limits are those of the URDF; limits of zero width, which
-    many files carry where nobody knew better, are none. Raises `ValueError` for a file that Pinocchio cannot read, for
-    joints that are not revolute or mimic others, and for joints that move no mass.
+    many files carry where nobody knew better, are none. Raises `ValueError` for a file that Pinocchio cannot read, and
+    for joints that are not revolute or mimic others.
     """
     path = Path(file).expanduser()
     if not path.is_file():
@@ -38,9 +38,7 @@ def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
     if lock:
         held = [model.getJointId(name) for name in dict.fromkeys(lock)]
         model = pin.buildReducedModel(model, held, pin.neutral(model))
-    where = f"physics.urdf: {file}: "
-    tables = tables_of(model, where)
-    _check_mass(tables, where)
+    tables = tables_of(model, f"physics.urdf: {file}: ")
     frozen = tables.position_max == tables.position_min
     return tables._replace(
         position_min=np.where(frozen, -np.inf, tables.position_min),
@@ -61,14 +59,3 @@ def _silence() -> Iterator[None]:
         os.dup2(before, 2)
         os.close(before)
         os.close(away)
-
-
-def _check_mass(tables: ArmTables, where: str) -> None:
-    """A joint that moves no mass has no acceleration. Looked at in a pose in which no axis meets a centre of mass."""
-    model = pinocchio_model(tables)
-    own = np.diag(pin.crba(model, model.createData(), 0.3 + 0.1 * np.arange(tables.n)))
-    for name, inertia in zip(tables.joints, own, strict=True):
-        if not inertia > 1e-9:
-            raise ValueError(
-                f"{where}joint {name!r}: expected it to move some mass, found an inertia of {inertia:g} kg m²"
-            )
