@@ -19,11 +19,13 @@ import numpy as np
 from rich.console import Console
 
 from pgrssnn_jax.acceleration.devices import keep_compiled
-from pgrssnn_jax.data.benchmarks import load_benchmark
+from pgrssnn_jax.data.arm_log import load_arm_log as _load_arm_log
+from pgrssnn_jax.data.benchmarks import as_records, load_benchmark
 from pgrssnn_jax.data.sources import channels
 from pgrssnn_jax.discovery.checks import check_physics
 from pgrssnn_jax.discovery.discover import discover as discover_from
 from pgrssnn_jax.discovery.inverse.discover import discover_by_torques, motion_evidence
+from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.inverse.serialise import torques_arrays, torques_json
 from pgrssnn_jax.discovery.network import network_shares, plan_network
 from pgrssnn_jax.discovery.serialise import discovery_arrays, discovery_json
@@ -52,7 +54,7 @@ from pgrssnn_jax.training.train import first_checkpoint, train_members
 
 __all__ = [
     "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
-    "discover", "fit", "load", "load_benchmark", "read_csv", "record", "rollout", "simulate",
+    "discover", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "record", "rollout", "simulate",
 ]  # fmt: skip
 
 Callback = Callable[[Progress], bool | None]
@@ -140,22 +142,31 @@ def discover(
         physics, train, test, chosen, training,
         effects=effects, validation=validation, realisation=realisation, notify=say,
     )  # fmt: skip
-    check_setup(setup)
-    return discovered(setup, say, threading.Event(), command="pg.discover")
+    return discovered(setup, check_setup(setup), say, threading.Event(), command="pg.discover")
 
 
-def check_setup(setup: Setup) -> None:
-    """Raises `ValueError` for what could turn out to be bad input during a discovery."""
-    check_physics(setup)
-    if setup.settings.network_epochs:
-        plan_network(setup, None)
+def check_setup(setup: Setup) -> Motion | None:
+    """The motion of an arm whose torques are the evidence, None where free runs are. Raises `ValueError` for what could
+    turn out to be bad input during a discovery: a model need not run to be asked for its torques."""
+    motion = motion_evidence(setup)
+    if motion is None:
+        check_physics(setup)
+        if setup.settings.network_epochs:
+            plan_network(setup, None)
+    return motion
 
 
 def discovered(
-    setup: Setup, notify: Callable[[str], None], stop: threading.Event, *, command: str, seconds: float = 0.0
+    setup: Setup,
+    motion: Motion | None,
+    notify: Callable[[str], None],
+    stop: threading.Event,
+    *,
+    command: str,
+    seconds: float = 0.0,
 ) -> Discovered:
-    """Runs a discovery that has been set up; stop: looked at between epochs of the proof; seconds: spent before."""
-    motion = motion_evidence(setup)
+    """Runs a discovery that has been set up; motion: from `check_setup`; stop: looked at between epochs of the proof;
+    seconds: spent before."""
     if motion is not None:
         by_torques = discover_by_torques(setup, motion, notify)
         details, arrays = torques_json(by_torques, setup, command=command), torques_arrays(by_torques, setup)
@@ -180,6 +191,17 @@ def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") ->
     start: what is known of the initial state. Raises `ValueError` with file, line and column for a file that does not
     fit."""
     return _read_csv(path, channels(physics.inputs), channels(physics.outputs), physics.dt, start=start)
+
+
+def load_arm_log(
+    physics: Physics, train: str | Path, test: str | Path | None = None, **settings: Any
+) -> tuple[Record, Record]:
+    """Training and test record of an arm from its logs, CSV or NPZ, every `physics.dt` s.
+
+    test: None takes the last third of `train`. settings: names, units and sides of the columns, the transmission and
+    the filter, as in `data/arm_log.py`. Raises `ValueError` for files that do not hold what is named."""
+    given = {"train": train, "test": test, **settings}
+    return as_records(call_with(_load_arm_log, given, "load_arm_log", physics=physics))
 
 
 def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:

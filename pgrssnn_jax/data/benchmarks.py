@@ -1,4 +1,4 @@
-"""The loaders of records: the four benchmarks of the paper by name, and users' own CSV files.
+"""The loaders of records: the four benchmarks of the paper by name, users' own CSV files and logs of arms.
 
 Records of a benchmark know their validation part and how their test record starts.
 """
@@ -9,6 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from pgrssnn_jax.data.arm_log import load_arm_log
 from pgrssnn_jax.data.lgssm import load_lgssm
 from pgrssnn_jax.data.robot import load_robot_real, load_robot_simulated
 from pgrssnn_jax.data.sources import channels
@@ -61,8 +62,10 @@ LOADERS: Mapping[str, Callable[..., Splits]] = MappingProxyType(
         "robot_real": load_robot_real,
         "robot_simulated": load_robot_simulated,
         "csv": load_csv,
+        "arm_log": load_arm_log,
     }
 )
+_FILES = {"csv", "arm_log"}  # users' own
 _OF_CALLERS = ("physics", "notify", "timeout")
 
 
@@ -82,8 +85,8 @@ def load_benchmark(name: str, **settings: Any) -> tuple[Record, Record]:
     the loader (`path`, `n_train`, `realisations`, `seed`, ...). Raises `ValueError` for an unknown name or setting, and
     for files that do not hold the benchmark.
     """
-    if name not in LOADERS or name == "csv":
-        raise ValueError(f"load_benchmark: expected one of {sorted(set(LOADERS) - {'csv'})}, found {name!r}")
+    if name not in LOADERS or name in _FILES:
+        raise ValueError(f"load_benchmark: expected one of {sorted(set(LOADERS) - _FILES)}, found {name!r}")
     train, test = as_records(call_with(LOADERS[name], settings, "load_benchmark", notify=print))
     print(f"{name}: {train.info.source}: {train.info.origin}")  # noqa: T201 - the one line that a user must see
     return train, test

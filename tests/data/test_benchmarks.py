@@ -39,7 +39,7 @@ def test_several_realisations_keep_their_axis(capsys):
 
 
 def test_a_loaders_settings_are_what_a_user_may_say():
-    assert set(LOADERS) == {"cascaded_tank", "lgssm", "robot_real", "robot_simulated", "csv"}
+    assert set(LOADERS) == {"cascaded_tank", "lgssm", "robot_real", "robot_simulated", "csv", "arm_log"}
     found = loader_settings("lgssm")
     assert (found["n_train"], found["realisations"], found["path"]) == (2000, 50, None)
     assert not {"physics", "notify", "timeout"} & set(found)
