@@ -17,6 +17,7 @@ from pgrssnn_jax.api import check_setup, discovered
 from pgrssnn_jax.cli.entry import Work
 from pgrssnn_jax.cli.plan import load_experiment, own_effects, plain_config
 from pgrssnn_jax.cli.process import Interrupted
+from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
 from pgrssnn_jax.records.arguments import call_with
@@ -34,16 +35,16 @@ def prepare_discovery(config: DictConfig) -> Work:
     started = time.perf_counter()
     try:
         settings = plain_config(config)
-        setup = checked(settings, console.print)
+        setup, motion = checked(settings, console.print)
     finally:
         discard_if_empty(folder)
     command = shlex.join(["python", f"{hydra.job.name}.py", *hydra.overrides.task])
     seconds = time.perf_counter() - started
-    return Work(folder, partial(discovery_run, settings, setup, RunFolder(folder), console, command, seconds))
+    return Work(folder, partial(discovery_run, settings, setup, motion, RunFolder(folder), console, command, seconds))
 
 
-def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
-    """Everything that could turn out to be bad input later is tried. Raises `ValueError`."""
+def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> tuple[Setup, Motion | None]:
+    """What `discovered` needs. Everything that could turn out to be bad input later is tried. Raises `ValueError`."""
     settings = call_with(DiscoverySettings, config["discovery"], "discovery")
     settings = replace(settings, accelerate=settings.accelerate and config["accelerate"])
     if config["resume"] is not None:
@@ -53,13 +54,13 @@ def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> Setup:
         physics, train, test, settings, settings_from_config(config),
         effects=own_effects(settings.effects, physics), notify=notify,
     )  # fmt: skip
-    check_setup(setup)
-    return setup
+    return setup, check_setup(setup)
 
 
 def discovery_run(
     config: Mapping[str, Any],
     setup: Setup,
+    motion: Motion | None,
     run: RunFolder,
     console: Console,
     command: str,
@@ -73,7 +74,7 @@ def discovery_run(
         f"{setup.estimation.u.shape[0]} sequence(s) of {setup.estimation.u.shape[1]} samples to learn from",
         soft_wrap=True,
     )
-    found = discovered(setup, partial(_progress, console, stop), stop, command=command, seconds=seconds)
+    found = discovered(setup, motion, partial(_progress, console, stop), stop, command=command, seconds=seconds)
     found.write(run, yaml_text(config), command)
     console.print(discovery_summary(found.details))
     console.print(f"run folder: {short_path(run.path)}   page: {short_path(run.path / 'report.html')}", soft_wrap=True)

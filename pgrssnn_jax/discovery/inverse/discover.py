@@ -4,7 +4,7 @@ records ──> q, q̇, q̈ ──> torque errors ──> structure and effects 
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
 from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
 from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
@@ -30,7 +31,8 @@ _SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belong
 _OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
 _IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
 _FAST = 0.2  # of a joint's highest speed
-_RESAMPLED = 400
+_SHORTEST = 50  # samples: what a filter forwards and backwards takes at its ends, several times
+_ENDS = 4  # of the samples that a filter loses at the ends
 
 
 class Reading(NamedTuple):
@@ -49,28 +51,6 @@ class Reading(NamedTuple):
     @property
     def words(self) -> str:
         return f"positions low-pass filtered at {self.cutoff:.2g} Hz" if self.cutoff < 1.0 / self.dt else "no filter"
-
-
-class Stage(NamedTuple):
-    """Torques of a record as one model asks for them, motor Nm `[seq, time, n]`; nrmse: RMS error over the standard
-    deviation of the measured torque, of all, of moving and of resting samples, per joint; interval: 95 % of the mean
-    over joints."""
-
-    torque: Float[np.ndarray, "seq time n"]
-    nrmse: Float[np.ndarray, "regime n"]
-    interval: tuple[float, float]
-
-    @property
-    def error(self) -> float:
-        return float(self.nrmse[0].mean())
-
-
-class Compared(NamedTuple):
-    """The models on one record. improvement: 95 % interval of the fall of the error from recalibrated to after."""
-
-    motion: Motion
-    models: Mapping[str, Stage]
-    improvement: tuple[float, float]
 
 
 class Found(NamedTuple):
@@ -98,12 +78,34 @@ class Found(NamedTuple):
 
 def motion_evidence(setup: Setup) -> Motion | None:
     """The motion of the estimation record, where inverse dynamics can be the evidence: of an arm all of whose positions
-    were measured, with accelerations that stand out of their noise. None where they cannot."""
+    were measured, in records much longer than what a filter cannot see at their ends, with accelerations that stand out
+    of their noise. None where they cannot."""
     wanted = setup.settings.evidence
-    if system_of(setup.physics) != "arm" or wanted == "free_run" or not np.asarray(setup.estimation.mask).all():
+    if wanted == "free_run" or (wanted == "auto" and system_of(setup.physics) != "arm"):
         return None
-    motion = motion_of(setup.estimation, setup.physics.dt, at_rest=_at_rest(setup))
-    return motion if wanted == "inverse_dynamics" or (motion.noise < NOISIEST).all() else None
+    motion, reason = None, _unfit(setup)
+    if reason is None:
+        motion = motion_of(setup.estimation, setup.physics.dt, at_rest=_at_rest(setup))
+        lost = setup.estimation.y.shape[1] - motion.v.shape[1]
+        if min(record.y.shape[1] for record in (setup.estimation, setup.test)) < _ENDS * lost:
+            reason = f"records much longer than the {lost} samples that a filter loses at their ends"
+        elif wanted == "auto" and not (motion.noise < NOISIEST).all():
+            return None
+    if reason is not None and wanted != "auto":
+        raise ValueError(f"discovery.evidence: inverse_dynamics: expected {reason}, found other data")
+    return motion if reason is None else None
+
+
+def _unfit(setup: Setup) -> str | None:
+    """What inverse dynamics would need and do not have."""
+    if system_of(setup.physics) != "arm":
+        return "an arm"
+    for record in (setup.estimation, setup.test):
+        if not np.asarray(record.mask).all():
+            return "all positions measured"
+        if record.y.shape[1] < _SHORTEST:
+            return f"sequences of at least {_SHORTEST} samples"
+    return None
 
 
 def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], None]) -> Found:
@@ -123,9 +125,11 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         p_values = chances(problem, samples, chosen, setup.settings.seed)
         told = time.perf_counter()
         theta = {"before": problem.theta} | {name: wrapped(problem, fit.theta) for name, fit in fits.items()}
-        train, test = (_compared(model, reading.of(one), fastest, theta) for one in (setup.estimation, setup.test))
-        without = {name: _error(model, test.motion, fastest, fit.theta) for name, fit in chosen.without.items()}
-        floor = _floor(model, setup, train.motion, samples, last.theta)
+        read = {"train": reading.of(setup.estimation), "test": reading.of(setup.test)}
+        scale = spreads(setup)
+        train, test = (compared(model, motion, fastest, theta, scale[part]) for part, motion in read.items())
+        without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
+        floor = _floor(model, setup, train, samples, last.theta)
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
@@ -198,58 +202,14 @@ def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Readi
     return min((Reading(dt, c, shift, at_rest, edge) for c in sorted(cutoffs) for shift in _SHIFTS), key=missed)
 
 
-def _compared(
-    model: Torques, motion: Motion, fastest: Float[np.ndarray, " n"], numbers: Mapping[str, Float[np.ndarray, " p"]]
-) -> Compared:
-    samples = samples_of(motion, fastest)
-    stages = {name: _stage(model, samples, motion, theta) for name, theta in numbers.items()}
-    drawn = _resampled(samples, motion, [stage.torque for stage in stages.values()])
-    stages = {
-        name: stage._replace(interval=_interval(errors))
-        for (name, stage), errors in zip(stages.items(), drawn, strict=True)
-    }
-    return Compared(motion, stages, _interval(drawn[1] - drawn[2]))
-
-
-def _error(model: Torques, motion: Motion, fastest: Float[np.ndarray, " n"], theta: Float[np.ndarray, " p"]) -> float:
-    return _stage(model, samples_of(motion, fastest), motion, theta).error
-
-
-def _stage(model: Torques, samples: Samples, motion: Motion, theta: Float[np.ndarray, " p"]) -> Stage:
-    error, spread = model.errors(theta, samples), motion.torque.std(axis=(0, 1))
-    regimes = (np.ones_like(samples.moving), samples.moving, ~samples.moving)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rms = [np.sqrt((error**2 * among).sum(1) / among.sum(1)) / spread for among in regimes]
-    asked = motion.torque - error.T.reshape(motion.torque.shape)
-    return Stage(asked, np.stack(rms), (np.nan, np.nan))
-
-
-def _resampled(
-    samples: Samples, motion: Motion, asked: Sequence[Float[np.ndarray, "seq time n"]]
-) -> list[Float[np.ndarray, " draw"]]:
-    """The mean over joints of every model's error, over blocks that are drawn with replacement."""
-    drawn = np.random.default_rng(0).integers(0, samples.blocks, (_RESAMPLED, samples.blocks))
-    spread, count = motion.torque.std(axis=(0, 1)), np.bincount(samples.block, minlength=samples.blocks)
-    found = []
-    for one in asked:
-        squares = ((motion.torque - one) ** 2).reshape(-1, len(spread))
-        sums = np.stack([np.bincount(samples.block, joint, samples.blocks) for joint in squares.T], 1)
-        found.append((np.sqrt(sums[drawn].sum(1) / count[drawn].sum(1)[:, None]) / spread).mean(1))
-    return found
-
-
-def _interval(drawn: Float[np.ndarray, " draw"]) -> tuple[float, float]:
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return float(low), float(high)
-
-
-def _floor(model: Torques, setup: Setup, motion: Motion, samples: Samples, theta: Float[np.ndarray, " p"]) -> float:
+def _floor(model: Torques, setup: Setup, train: Compared, samples: Samples, theta: Float[np.ndarray, " p"]) -> float:
     """What noise alone leaves, in the metric: of torques, and of accelerations by the inertia that they move."""
     _, floor = spectrum_of(np.asarray(setup.estimation.u, np.float64), setup.physics.dt)
+    motion = train.motion
     of_torque = floor * (motion.cutoff or 0.5 / setup.physics.dt)
     still = samples._replace(a=np.zeros_like(samples.a))
     inertial = ((model.errors(theta, samples) - model.errors(theta, still)) ** 2).mean(1)
-    return float(np.mean(np.sqrt(of_torque + motion.noise**2 * inertial) / motion.torque.std(axis=(0, 1))))
+    return float(np.mean(np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread))
 
 
 def _verdict(setup: Setup, selection: Chosen, active: Active, train: Compared, test: Compared, floor: float) -> Verdict:

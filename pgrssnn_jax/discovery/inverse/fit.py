@@ -152,8 +152,9 @@ def _cost(torques: Torques, error: Errors, weight: Errors, theta: np.ndarray) ->
 
 def _sums(error: Errors, derivatives: np.ndarray, root: Errors, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal matrix and pull of the samples that are kept."""
-    columns = (derivatives[..., kept] * root[:, kept]).reshape(len(derivatives), -1)
-    return columns @ columns.T, -columns @ (error[:, kept] * root[:, kept]).ravel()
+    scaled = (error[:, kept] * root[:, kept]).ravel()
+    columns = (derivatives[..., kept] * root[:, kept]).reshape(len(derivatives), len(scaled))
+    return columns @ columns.T, -columns @ scaled
 
 
 def _solved(

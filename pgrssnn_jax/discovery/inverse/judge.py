@@ -37,8 +37,11 @@ def deviations(problem: Problem, fit: Fit, samples: Samples) -> Float[np.ndarray
     """Standard deviation of every number of θ: the larger one of that by the size of the errors and how long they
     remember, and that by how much blocks differ (sandwich); 0 where a number was not free, infinite where nothing
     depends on it."""
+    found = np.zeros(len(problem.theta))
+    if not len(fit.places):
+        return found
     root = np.sqrt(fit.weight)
-    columns = (fit.derivatives * root).reshape(len(fit.places), -1)
+    columns = (fit.derivatives * root).reshape(len(fit.places), root.size)
     precision = problem.precision[fit.places]
     normal = columns @ columns.T + np.diag(precision)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -47,7 +50,6 @@ def deviations(problem: Problem, fit: Fit, samples: Samples) -> Float[np.ndarray
     pulls = np.stack([np.bincount(samples.block, one, samples.blocks) for one in terms], 1)
     count = samples.blocks
     between = inverse @ (pulls.T @ pulls * count / (count - 1)) @ inverse
-    found = np.zeros(len(problem.theta))
     larger = np.sqrt(np.maximum(np.maximum(np.diag(inverse), np.diag(between)), 0.0))
     found[fit.places] = np.where(np.diag(normal) > 0, larger, np.inf)
     return found

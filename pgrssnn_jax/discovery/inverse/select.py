@@ -110,7 +110,7 @@ def select(search: Search, tried: Sequence[Tried], notify: Callable[[str], None]
     candidates = {name: one for name, (one, _) in _screened(search, start).items()}
     backward = _grown(search, _pruned(search, everything), notify)
     forward = _grown(search, start, notify)
-    final = _joints_pruned(search, _better(search, forward, backward))
+    final = _single_pruned(search, _better(search, forward, backward))
     without = {name: _without(search, final, name).fit for name in final.active}
     gains = {name: search.gain(fit, final.fit) for name, fit in without.items()}
     return Chosen(best.structure, recalibrated, final, without, gains, candidates, rivals, search.kappa)
@@ -218,21 +218,33 @@ def _without(search: Search, now: Model, name: str) -> Model:
     return Model(search.linear(theta, active, known), active)
 
 
-def _joints_pruned(search: Search, now: Model) -> Model:
-    """Without the numbers of single joints that do not predict."""
+def _single_pruned(search: Search, now: Model) -> Model:
+    """Without single numbers that do not predict: of joints, of the parts of a coupling."""
     problem = search.problem
+    alone = {name: _acting_alone(search, now, name) for name in now.active}
     while True:
         idle: list[tuple[float, str, int]] = []
         for name, places in now.active.items():
-            for place in places[[problem.slots[i].label.endswith("]") for i in places]] if len(places) > 1 else ():
+            parts = places[np.isin(places, alone[name])]
+            for place in parts if len(parts) > 1 else ():
                 theta, active, keeps = _one_less(problem, now, name, int(place))
                 fit = search.linear(theta, active, now.fit.derivatives[keeps])
                 if not (found := search.gain(fit, now.fit)).clear(search.criteria.certain):
                     idle.append((found.value, name, int(place)))
         if not idle:
-            return Model(search.fit(now.fit.theta, now.active), now.active)
+            break
         theta, active, keeps = _one_less(problem, now, *min(idle)[1:])
         now = Model(search.linear(theta, active, now.fit.derivatives[keeps]), active)
+    idling = now.fit.places[~np.abs(now.fit.derivatives).any((1, 2))]  # how fast what has been pruned would turn
+    active = {name: places[~np.isin(places, idling)] for name, places in now.active.items()}
+    return Model(search.fit(now.fit.theta, active), active)
+
+
+def _acting_alone(search: Search, now: Model, name: str) -> Int[np.ndarray, " _"]:
+    """Numbers of an effect that change a torque while its others are neutral: parts of a sum, not of a product."""
+    problem, places = search.problem, now.active[name]
+    theta = problem.put(now.fit.theta, name, problem.effect(name).neutral())
+    return places[np.abs(search.torques.derivatives(theta, search.samples, places)).any((1, 2))]
 
 
 def _one_less(problem: Problem, now: Model, name: str, place: int) -> tuple[np.ndarray, Active, np.ndarray]:

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from pgrssnn_jax.discovery.finding import interval
-from pgrssnn_jax.discovery.inverse.discover import Compared, Found, rival_structures
+from pgrssnn_jax.discovery.inverse.compare import Compared
+from pgrssnn_jax.discovery.inverse.discover import Found, rival_structures
 from pgrssnn_jax.discovery.inverse.judge import departed
 from pgrssnn_jax.discovery.inverse.select import own_places
 from pgrssnn_jax.discovery.inverse.serialise_effects import findings, open_gap
@@ -94,8 +95,7 @@ def _gap(found: Found) -> dict[str, Any]:
 def _pooled(test: Compared, stage: str) -> float:
     """RMS of all torques over their standard deviation, all joints in one."""
     error = test.motion.torque - test.models[stage].torque
-    spread = test.motion.torque.std(axis=(0, 1))
-    return float(np.sqrt((error**2).mean()) / np.sqrt((spread**2).mean()))
+    return float(np.sqrt((error**2).mean()) / np.sqrt((test.spread**2).mean()))
 
 
 def _joints(test: Compared) -> list[dict[str, Any]]:
@@ -103,7 +103,7 @@ def _joints(test: Compared) -> list[dict[str, Any]]:
     return [
         {
             "joint": joint + 1,
-            "std": float(test.motion.torque[..., joint].std()),
+            "std": float(test.spread[joint]),
             **{
                 regime: {stage: _number(one.nrmse[k, joint]) for stage, one in test.models.items()}
                 for k, regime in enumerate(_REGIMES)

@@ -49,7 +49,7 @@ def _finding(found: Found, name: str, command: str) -> dict[str, Any]:
         "command": command,
     }
     if effect.channels == "joint":
-        said["joints"] = [_joint(problem, int(place)) for place in places]
+        said["joints"] = [_joint(problem, int(place)) for place in places if _is_joints(problem, int(place))]
     return said
 
 
@@ -87,6 +87,10 @@ def _friction(found: Found, name: str, command: str) -> dict[str, Any]:
         "command": command,
         "joints": joints,
     }
+
+
+def _is_joints(problem: Problem, place: int) -> bool:
+    return problem.slots[place].label.endswith("]")
 
 
 def _joint(problem: Problem, place: int) -> int:
