@@ -1,13 +1,10 @@
 """Effects on what turns the joints of an arm besides its weight, on the link side.
 
-    τ = C (g G u) + ...                                                      what the motors deliver
-        + θ - G² B q̇ - |G| Tc tanh(q̇/v0) - |G| Ts e^{-(q̇/v_s)²} tanh(q̇/v0)    bias, and friction beside the known one
-        - k sin(q₂ - φ)                                                      counterbalance of the second joint
+    τ = C (g G u) + θ - k q - m sin(q₂ - φ) - friction      what the motors deliver, a bias, a spring on each joint, the
+                                                           counterbalance of the second one
 
-u: motor torque, Nm; G: gear ratio; B (Nm s), Tc, Ts (Nm): on the motor side; θ, k: Nm on the link side. v0 is small
-and fixed: a tanh in place of a sign, so that a fit sees the friction of a joint that turns. C: the coupling of a wrist
-(`arm_wrist.py`). Numbers are per joint unless said otherwise.
-Source of the friction: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994).
+u: motor torque, Nm; G: gear ratio; θ, m: Nm, k: Nm/rad, on the link side. C: the coupling of a wrist (`arm_wrist.py`);
+friction: `arm_friction.py`. Numbers are per joint unless said otherwise.
 """
 
 from functools import partial
@@ -16,13 +13,12 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.arm_common import INFINITE, STANDSTILL, arm_effect, largest
+from pgrssnn_jax.effects.arm_common import INFINITE, arm_effect, largest
+from pgrssnn_jax.effects.arm_friction import friction_effects
 from pgrssnn_jax.effects.arm_wrist import wrist_coupling
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange
 from pgrssnn_jax.physics.arms.points import Joints
 from pgrssnn_jax.physics.base import Parameter
-
-_PUSH = 0.05  # of the largest motor torque: where a fit of friction begins
 
 
 def torque_effects(n: int, gear: np.ndarray, *, wrist: bool = False) -> tuple[Effect, ...]:
@@ -51,25 +47,21 @@ def torque_effects(n: int, gear: np.ndarray, *, wrist: bool = False) -> tuple[Ef
             cause="a constant torque on the link side that the motors do not deliver",
         ),
         gravity_counterbalance(n, gear),
-        effect(
-            "viscous_friction",
-            "torque",
-            lambda n, own, tau, q, v, drive: tau - own["G"] ** 2 * n["B"] * v,
-            {"B": Parameter("B", "Nm s", bounds=(0.0, INFINITE), neutral=0.0)},
-            title="More viscous friction",
-            equation="τ = ... - G² B q̇",
-            cause="lubricant and seals brake a joint in proportion to its speed, beyond what is known",
-        ),
-        effect(
-            "coulomb_friction",
-            "torque",
-            lambda n, own, tau, q, v, drive: tau - jnp.abs(own["G"]) * n["Tc"] * jnp.tanh(v / STANDSTILL),
-            {"Tc": Parameter("Tc", "Nm", bounds=(0.0, INFINITE), neutral=0.0)},
-            title="More Coulomb friction",
-            equation="τ = ... - |G| Tc tanh(q̇ / 0.02 rad/s)",
-            cause="dry friction brakes a joint at any speed, beyond what is known",
-        ),
-        stribeck_friction(n),
+        linear_spring(n),
+        *friction_effects(n),
+    )
+
+
+def linear_spring(n: int) -> Effect:
+    return arm_effect(
+        n,
+        "linear_spring",
+        "torque",
+        lambda n, own, tau, q, *_: tau - n["k"] * q,
+        {"k": Parameter("k", "Nm/rad", bounds=(0.0, INFINITE), neutral=0.0)},
+        title="Spring on a joint",
+        equation="τ = ... - k q",
+        cause="a spring, a cable or a hose pulls a joint to its zero; another rest angle shows as a constant torque",
     )
 
 
@@ -97,34 +89,4 @@ def gravity_counterbalance(n: int, gear: np.ndarray) -> Effect:
         equation="τ2 = ... - k sin(q2 - φ)",
         cause="a spring or a weight bears part of the arm's weight at the second joint",
         initial_guesses=initial_guesses,
-    )
-
-
-def stribeck_friction(n: int) -> Effect:
-    """One speed for all joints: it is poorly told by one joint alone."""
-
-    def braked(n: Any, own: Any, tau: Joints, q: Joints, v: Joints, drive: Joints) -> Joints:
-        slow = jnp.exp(-((v / n["speed"]) ** 2))
-        return tau - jnp.abs(own["G"]) * n["torque"] * slow * jnp.tanh(v / STANDSTILL)
-
-    def initial_guesses(span: SignalRange) -> list[Numbers]:
-        fastest = float(largest(span.x, n)[:n].max())
-        return [{"torque": _PUSH * largest(span.u)[:n], "speed": np.asarray(s * fastest)} for s in (0.03, 0.1, 0.3)]
-
-    return arm_effect(
-        n,
-        "stribeck_friction",
-        "torque",
-        braked,
-        {
-            "torque": Parameter("Ts", "Nm", bounds=(0.0, INFINITE), neutral=0.0),
-            "speed": Parameter("v_s", "rad/s", bounds=(1e-3, INFINITE), neutral=0.1),
-        },
-        title="Stribeck friction",
-        equation="τ = ... - |G| Ts exp(-(q̇ / v_s)²) tanh(q̇ / 0.02 rad/s)",
-        cause="a joint that starts to turn is braked more than one whose lubricant has built up a film",
-        initial_guesses=initial_guesses,
-        shapes={"torque": (n,)},
-        active=lambda p, x, u: (np.abs(x[:, n : 2 * n]) < 2 * p["speed"]).any(-1),
-        simpler=("coulomb_friction",),
     )

@@ -26,6 +26,8 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "payload": {"mass": 40.0, "distance": 0.3, "x": 0.1, "y": -0.2, "gyration": 0.2},
     "rotor_inertia": {"J": np.linspace(1e-3, 2e-3, 6)},
     "gravity_direction": {"about_x": 0.1, "about_y": -0.2},
+    "linear_spring": {"k": np.linspace(20.0, 200.0, 6)},
+    "asymmetric_friction": {"dTc": np.linspace(-0.2, 0.3, 6), "dB": np.linspace(-0.002, 0.005, 6)},
     "joint_limit": {"lower": np.full(6, -0.4), "upper": np.linspace(0.1, 0.6, 6)},
     "stiction": {"speed": SPEED},
     "velocity_disturbance": {"S": np.linspace(-0.2, 0.2, 6)},

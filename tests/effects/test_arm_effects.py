@@ -44,6 +44,12 @@ TORQUES = {
     "gravity_counterbalance": lambda q, v, u: balanced(q, u, v),
     "viscous_friction": lambda q, v, u: with_drive(G * u, v) - G**2 * np.linspace(0.0, 0.01, 6) * v,
     "coulomb_friction": lambda q, v, u: with_drive(G * u, v) - G * np.linspace(0.1, 0.4, 6) * np.tanh(v / 0.02),
+    "linear_spring": lambda q, v, u: with_drive(G * u, v) - np.linspace(20.0, 200.0, 6) * q,
+    "asymmetric_friction": lambda q, v, u: (
+        with_drive(G * u, v)
+        - np.abs(G) * np.linspace(-0.2, 0.3, 6) * np.tanh(v / 0.02) ** 2
+        - G**2 * np.linspace(-0.002, 0.005, 6) * np.abs(v)
+    ),
     "stribeck_friction": lambda q, v, u: (
         with_drive(G * u, v) - G * np.linspace(0.3, 0.1, 6) * np.exp(-((v / 0.2) ** 2)) * np.tanh(v / 0.02)
     ),

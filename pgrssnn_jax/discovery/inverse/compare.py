@@ -29,13 +29,14 @@ class Stage(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """The models on one record. improvement: 95 % interval of the fall of the error from recalibrated to after; spread:
-    standard deviation of the torques that errors are relative to, Nm."""
+    """The models on one record. improvement, change: 95 % intervals of the fall of the error from recalibrated and from
+    nominal to after; spread: standard deviation of the torques that errors are relative to, Nm."""
 
     motion: Motion
     spread: Float[np.ndarray, " n"]
     models: Mapping[str, Stage]
     improvement: tuple[float, float]
+    change: tuple[float, float]
 
 
 def spreads(setup: Setup) -> dict[str, Float[np.ndarray, " n"]]:
@@ -61,7 +62,7 @@ def compared(
         name: stage._replace(interval=_interval(errors))
         for (name, stage), errors in zip(stages.items(), drawn, strict=True)
     }
-    return Compared(motion, spread, stages, _interval(drawn[1] - drawn[2]))
+    return Compared(motion, spread, stages, _interval(drawn[1] - drawn[2]), _interval(drawn[0] - drawn[2]))
 
 
 def error_of(model: Torques, one: Compared, fastest: Float[np.ndarray, " n"], theta: Float[np.ndarray, " p"]) -> float:

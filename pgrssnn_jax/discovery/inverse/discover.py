@@ -133,7 +133,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
-        verdict=_verdict(setup, chosen, {**active, **friction}, train, test, floor),
+        verdict=_verdict(setup, chosen, active, friction, train, test, floor),
         chosen=chosen,
         theta=theta,
         std=std,
@@ -162,7 +162,15 @@ def _search(
     notify(f"evidence: inverse dynamics, {reading.words}")
     search = search._replace(samples=samples_of(_few(reading.of(setup.estimation), _SAMPLES), fastest))
     tried = finalists(search, tried)
-    return reading, search._replace(torques=replace(model, problem=near(problem, tried[0]))), tried
+    inside = _plausible(near(problem, tried[0].structure), fastest)
+    return reading, search._replace(torques=replace(model, problem=inside)), tried
+
+
+def _plausible(problem: Problem, fastest: Float[np.ndarray, " n"]) -> Problem:
+    """A lubricant's film builds up while a joint is slow: a Stribeck speed beyond that is other friction."""
+    high = problem.high.copy()
+    high[[slot.path == ("stribeck_friction", "speed") for slot in problem.slots]] = _FAST * fastest.max()
+    return replace(problem, high=high)
 
 
 def _held(problem: Problem, tolerance: float | None) -> Problem:
@@ -212,11 +220,13 @@ def _floor(model: Torques, setup: Setup, train: Compared, samples: Samples, thet
     return float(np.mean(np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread))
 
 
-def _verdict(setup: Setup, selection: Chosen, active: Active, train: Compared, test: Compared, floor: float) -> Verdict:
+def _verdict(
+    setup: Setup, selection: Chosen, active: Active, friction: Active, train: Compared, test: Compared, floor: float
+) -> Verdict:
     criteria = setup.settings.criteria
     before, recalibrated, after = (test.models[name].error for name in ("before", "recalibrated", "after"))
-    if active:
-        if test.improvement[0] <= 0.0 or after >= 1.0:
+    if active or friction:  # friction that the physics knows is refitted in the recalibrated model as well
+        if (test.improvement if active else test.change)[0] <= 0.0 or after >= 1.0:
             return Verdict.NOT_CONFIRMED
         return Verdict.AMBIGUOUS if rival_structures(selection) else Verdict.EFFECT_FOUND
     moving = float(np.nanmean(train.models["recalibrated"].nrmse[1]))

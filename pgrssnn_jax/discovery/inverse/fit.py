@@ -36,10 +36,12 @@ class Fit(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """Difference of the log-likelihood of left-out blocks, and its standard error."""
+    """Difference of the log-likelihood of left-out blocks, and its standard error; fall: of the logarithm of the RMS
+    error of the joint that gains most."""
 
     value: float
     error: float
+    fall: float
 
     def clear(self, standard_errors: float) -> bool:
         return self.value > standard_errors * self.error
@@ -104,15 +106,17 @@ def linear_fit(
 
 def gain(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> Gain:
     """Of left-out errors over others."""
-    by_block = gains_by_block(before, after, samples, remembered)
-    return Gain(float(by_block.sum()), float(by_block.std(ddof=1) * len(by_block) ** 0.5))
+    by_joint = gains_by_block(before, after, samples, remembered)
+    by_block = by_joint.sum(0)
+    fall = by_joint.sum(1) * remembered / before.shape[1]
+    return Gain(float(by_block.sum()), float(by_block.std(ddof=1) * len(by_block) ** 0.5), float(fall.max()))
 
 
 def gains_by_block(
     before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " block"]:
+) -> Float[np.ndarray, "n block"]:
     """The σ of a joint in a regime are those of each model."""
-    by_block = np.zeros(samples.blocks)
+    by_block = np.zeros((len(remembered), samples.blocks))
     for joint, kappa in enumerate(remembered):
         for regime in (samples.moving[joint], ~samples.moving[joint]):
             if not regime.any():
@@ -122,7 +126,7 @@ def gains_by_block(
             if not old > 0 or not new > 0:
                 continue
             terms = np.log(old / new) + one / old - other / new
-            by_block += np.bincount(samples.block[regime], terms / (2 * kappa), samples.blocks)
+            by_block[joint] += np.bincount(samples.block[regime], terms / (2 * kappa), samples.blocks)
     return by_block
 
 

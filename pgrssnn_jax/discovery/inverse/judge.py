@@ -27,7 +27,7 @@ def chances(problem: Problem, samples: Samples, chosen: Chosen, seed: int) -> di
     signs = np.random.default_rng(seed).integers(0, 2, (_DRAWS, samples.blocks)) * 2.0 - 1.0
     final, found = chosen.final.fit, {}
     for name, without in chosen.without.items():
-        gains = gains_by_block(without.left_out, final.left_out, samples, chosen.kappa)
+        gains = gains_by_block(without.left_out, final.left_out, samples, chosen.kappa).sum(0)
         beaten = int((signs @ gains >= gains.sum()).sum())
         found[name] = min(1.0, len(problem.effects) * (1 + beaten) / (1 + _DRAWS))
     return found

@@ -5,7 +5,7 @@
 
 Going forward, a gain can stand in for a motor's inertia and never leave; going backward, three small effects can stand
 in for one. The model that predicts left-out blocks better is kept, of two that do alike the one with fewer effects. An
-effect stays where it predicts better by three standard errors and by its share of what all of them do.
+effect stays where it predicts better by three standard errors, and a joint's torque clearly better.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +22,7 @@ from pgrssnn_jax.discovery.settings import Criteria
 
 _KNOWN = {"viscous_friction": "B", "coulomb_friction": "Tc"}  # effects whose law is that of a number of the physics
 _FINALISTS = 4
+_FALL = 0.05  # of the logarithm of the RMS error of the joint that gains most: less is not worth a name
 Active = Mapping[str, Int[np.ndarray, " _"]]
 
 
@@ -49,9 +50,7 @@ class Chosen(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What does not change while effects come and go. own: numbers of the physics that are free; least: gain of
-    log-likelihood below which an effect is not worth a name: a share of what all effects gain, and of what a fall of
-    all errors to 1 / e would."""
+    """What does not change while effects come and go. own: numbers of the physics that are free."""
 
     torques: Torques
     samples: Samples
@@ -59,7 +58,6 @@ class Search(NamedTuple):
     kappa: Float[np.ndarray, " n"]
     folds: int
     criteria: Criteria
-    least: float = 0.0
 
     @property
     def problem(self) -> Problem:
@@ -75,7 +73,7 @@ class Search(NamedTuple):
         return gain(before.left_out, after.left_out, self.samples, self.kappa)
 
     def worth(self, one: Gain) -> bool:
-        return one.clear(self.criteria.certain) and one.value >= self.least
+        return one.clear(self.criteria.certain) and one.fall >= _FALL
 
     def linear(self, theta: np.ndarray, active: Active, derivatives: np.ndarray | None = None) -> Fit:
         """One step from θ; derivatives: where they are known."""
@@ -103,9 +101,6 @@ def select(search: Search, tried: Sequence[Tried], notify: Callable[[str], None]
     search = search._replace(kappa=remembered(everything.fit.error, search.samples))
     everything = Model(search.fit(everything.fit.theta, everything.active), everything.active)
     recalibrated = search.fit(problem.theta, {})
-    independent = float((search.samples.v.shape[1] / search.kappa).sum())
-    everywhere = max(search.gain(recalibrated, everything.fit).value, independent)
-    search = search._replace(least=search.criteria.share * everywhere)
     start = Model(search.fit(theta, structure), structure)
     candidates = {name: one for name, (one, _) in _screened(search, start).items()}
     backward = _grown(search, _pruned(search, everything), notify)
@@ -146,6 +141,11 @@ def with_everything(search: Search, best: Tried, without: Sequence[str] = ()) ->
     return Model(search.fit(theta, active), active)
 
 
+def _plainer(problem: Problem, name: str) -> list[str]:
+    """Effects that one comes beside, and never in place of: nothing else keeps dry friction from taking any form."""
+    return [one for one in problem.effect(name).simpler if any(one == effect.name for effect in problem.effects)]
+
+
 def _is_own(problem: Problem, name: str) -> bool:
     """Is the effect's law one of the physics, whose number is free already?"""
     symbol = _KNOWN.get(name)
@@ -160,20 +160,21 @@ def _better(search: Search, one: Model, other: Model) -> Model:
 
 
 def _grown(search: Search, now: Model, notify: Callable[[str], None]) -> Model:
-    """With whatever else predicts, one effect after another."""
-    tried: set[str] = set()
+    """With whatever else predicts, one effect after another; what has been superfluous once does not come back."""
+    refused, superfluous = set[str](), set[str]()
     while True:
-        found = {name: one for name, one in _screened(search, now).items() if name not in tried}
+        found = {name: one for name, one in _screened(search, now).items() if name not in refused | superfluous}
         name = max(found, key=lambda one: found[one][0].value, default=None)
         if name is None or not search.worth(found[name][0]):
             return now
-        tried.add(name)
+        refused.add(name)
         active = {**now.active, name: search.problem.of(name)}
         grown = Model(search.fit(found[name][1], active), active)
         better = search.gain(now.fit, grown.fit)
         if search.worth(better):
             notify(f"{name}: log-likelihood + {better.value:.0f} ± {better.error:.0f}")
-            now = _pruned(search, grown)
+            now, refused = _pruned(search, grown), set()
+            superfluous |= set(active) - set(now.active)
 
 
 def _screened(search: Search, now: Model) -> dict[str, tuple[Gain, Float[np.ndarray, " p"]]]:
@@ -183,6 +184,8 @@ def _screened(search: Search, now: Model) -> dict[str, tuple[Gain, Float[np.ndar
     for effect in problem.effects:
         places = problem.of(effect.name)
         if _is_own(problem, effect.name) or len(now.active.get(effect.name, ())) == len(places):
+            continue
+        if any(name not in now.active and not _is_own(problem, name) for name in _plainer(problem, effect.name)):
             continue
         starts = [] if effect.name in now.active else effect.guesses(span)
         for theta in [problem.put(now.fit.theta, effect.name, numbers) for numbers in starts] or [now.fit.theta]:
@@ -196,7 +199,8 @@ def _screened(search: Search, now: Model) -> dict[str, tuple[Gain, Float[np.ndar
 def _pruned(search: Search, now: Model) -> Model:
     """Without effects that do not predict, the least one first; those of the structure when no other is idle."""
     while True:
-        for names in (set(now.active) - STRUCTURE, set(now.active) & STRUCTURE):
+        needed = {plain for name in now.active for plain in _plainer(search.problem, name)}
+        for names in (set(now.active) - STRUCTURE - needed, set(now.active) & STRUCTURE):
             without = {name: _without(search, now, name) for name in sorted(names)}
             gains = {name: search.gain(one.fit, now.fit) for name, one in without.items()}
             idle = [name for name, one in gains.items() if not search.worth(one)]

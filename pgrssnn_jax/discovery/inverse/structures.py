@@ -1,8 +1,8 @@
 """What is discrete in an arm: the direction of gravity and the zeros of its encoders, in quarter turns.
 
 Every combination is compared with all that is linear beside it free (payload, counterbalance, friction, motor inertia,
-constant torques): a wrong structure hides behind such stand-ins, and a right one must not need them. Structures that
-predict as well are told apart by how little they change.
+constant torques, and angles near the quarter turns): a wrong structure hides behind such stand-ins, and a right one
+must not need them. Structures that predict as well are told apart by how little they change.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -66,17 +66,19 @@ def best_structures(
     span = span_of(samples)
     for name in sorted(names & set(BESIDE)):
         theta = problem.put(theta, name, problem.effect(name).guesses(span)[0])
-    places = np.concatenate([own, *(problem.of(name) for name in BESIDE if name in names)]).astype(int)
+    beside = [problem.of(name) for name in (*BESIDE, *sorted(STRUCTURE)) if name in names]
+    places = np.concatenate([own, *beside]).astype(int)
 
     def fit(structure: Structure) -> Fit:
         at = theta
         for name, numbers in structure.numbers().items():
             at = problem.put(at, name, numbers)
+        inside = replace(torques, problem=near(problem, structure))
         error, derivatives = torques.errors(at, samples), torques.derivatives(at, samples, places)
         weight = regime_weight(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
-        rough = linear_fit(torques, samples, at, places, error, derivatives, weight, folds)
+        rough = linear_fit(inside, samples, at, places, error, derivatives, weight, folds)
         weight = regime_weight(rough.error, samples, kappa)
-        return linear_fit(torques, samples, at, places, error, derivatives, weight, folds)
+        return linear_fit(inside, samples, at, places, error, derivatives, weight, folds)
 
     none = Structure((0.0, 0.0), (0.0,) * n)
     nominal = fit(none)
@@ -111,12 +113,12 @@ def _ranked(tried: Sequence[Tried], samples: Samples, kappa: Float[np.ndarray, "
     return sorted(rivals, key=lambda one: (one.structure.changes, -one.gain.value))
 
 
-def near(problem: Problem, best: Tried) -> Problem:
+def near(problem: Problem, structure: Structure) -> Problem:
     """The problem in which zeros and gravity stay near a structure. The zero of the first joint turns the whole arm
     about gravity, and stays where it is."""
     low, high = problem.low.copy(), problem.high.copy()
     for name in STRUCTURE & {effect.name for effect in problem.effects}:
-        numbers = {**problem.effect(name).neutral(), **best.structure.numbers().get(name, {})}
+        numbers = {**problem.effect(name).neutral(), **structure.numbers().get(name, {})}
         at = problem.put(problem.theta, name, numbers)
         places = problem.of(name)
         low[places], high[places] = at[places] - _NEAR, at[places] + _NEAR
