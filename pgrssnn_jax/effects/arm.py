@@ -102,7 +102,7 @@ def gravity_direction() -> Effect:
         assert points is not None  # `needs`
 
         def change(n: Any, own: Any, extra: Extra) -> Extra:
-            return extra._replace(gravity=tilted(points.gravity, n["about_x"], n["about_y"]))
+            return extra._replace(gravity=tilted(points.tables.gravity, n["about_x"], n["about_y"]))
 
         return at_point(physics, "masses", name, change)
 

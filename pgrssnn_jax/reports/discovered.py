@@ -7,6 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from pgrssnn_jax.effects.arm_common import points_of
+from pgrssnn_jax.effects.arm_corrected import beyond_urdf, corrected_tables
+from pgrssnn_jax.physics.arms.urdf_writer import urdf_of
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
 from pgrssnn_jax.reports.discovery_tables import finding_table
@@ -78,6 +81,9 @@ class Discovered:
         run.begin(config_text, command=command, data=self.origins)
         run.write_arrays("discovery.npz", self.arrays)
         run.write_json("discovery.json", self.details)
+        if points_of(self.physics) is not None:
+            run.write_text("corrected.urdf", urdf_of(corrected_tables(self.physics)))
+            run.write_json("corrected.json", beyond_urdf(self.physics))
         write_discovery_report(run)
         run.finish()
 

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.chain import Batch, Chain, Extra, torques, world_at
@@ -34,8 +33,8 @@ class ArmPoints(NamedTuple):
     side; position(p, reading) -> rad, where the state holds what encoders read; masses(p) -> Extra, None where the
     moving masses are those of the tables whatever an effect says (Pinocchio); inverse(p, q, q̇, q̈, extra) -> Nm that a
     motion takes on the link side, for many samples at once `[n, batch]`; stop(p, x) -> x;
-    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. gravity: of the tables, m/s², `[3]`; wrist: are there
-    six joints, the last three of which follow one another?
+    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. tables: those of the arm without
+    effects.
     """
 
     drive: Callable[[Any, Joints], Joints]
@@ -46,8 +45,13 @@ class ArmPoints(NamedTuple):
     stop: Callable[[Any, State], State]
     disturbance: Callable[[Any, State, State], State]
     measure: Callable[[Any, State, Joints], Joints]
-    gravity: Float[np.ndarray, "3"]
-    wrist: bool
+    tables: ArmTables
+
+    @property
+    def wrist(self) -> bool:
+        """Are there six joints, the last three of which follow one another?"""
+        n, parents = self.tables.n, self.tables.parents
+        return n == _WITH_WRIST and parents[-2:] == (n - 3, n - 2)
 
 
 def own_points(tables: ArmTables, *, masses: bool, measured: bool) -> ArmPoints:
@@ -67,8 +71,7 @@ def own_points(tables: ArmTables, *, masses: bool, measured: bool) -> ArmPoints:
         stop=lambda p, x: x,
         disturbance=_known_disturbance,
         measure=_positions if measured else _nothing,
-        gravity=tables.gravity,
-        wrist=tables.n == _WITH_WRIST and tables.parents[-2:] == (tables.n - 3, tables.n - 2),
+        tables=tables,
     )
 
 
