@@ -262,7 +262,7 @@ def test_the_catalogue_of_a_users_physics_has_what_its_states_allow():
     assert effect("quadratic_drag", found).equation.endswith("(v: v)")
     assert effect("leak", found).equation.endswith("(x: a, b)")
     for physics in (cascaded_tanks(), lgssm(), arm()):
-        assert not {"quadratic_drag", "linear_spring", "constant_force", "leak", "inflow"} & set(names(physics))
+        assert not {"quadratic_drag", "cubic_spring", "constant_force", "leak", "inflow"} & set(names(physics))
 
 
 def test_another_physics_or_sample_time_is_refused():

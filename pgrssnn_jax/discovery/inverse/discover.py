@@ -17,7 +17,7 @@ from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques, fastest_of,
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
 from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
 from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select, with_everything
-from pgrssnn_jax.discovery.inverse.structures import Structure, Tried, best_structures, near, wrapped
+from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, best_structures, near, wrapped
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -228,7 +228,8 @@ def _verdict(
     if active or friction:  # friction that the physics knows is refitted in the recalibrated model as well
         if (test.improvement if active else test.change)[0] <= 0.0 or after >= 1.0:
             return Verdict.NOT_CONFIRMED
-        return Verdict.AMBIGUOUS if rival_structures(selection) else Verdict.EFFECT_FOUND
+        ambiguous = set(active) & STRUCTURE and rival_structures(selection)
+        return Verdict.AMBIGUOUS if ambiguous else Verdict.EFFECT_FOUND
     moving = float(np.nanmean(train.models["recalibrated"].nrmse[1]))
     if moving > criteria.clear * floor:  # at rest friction holds against any torque within its reach
         return Verdict.UNEXPLAINED

@@ -4,7 +4,8 @@
 
 q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
 Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any
-torque within its reach.
+torque within its reach. Where the noise hides which of both it does, and which way, only the samples in which it moves
+for certain count: friction of an unknown sign would look like less friction at low speed.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,6 +24,7 @@ from pgrssnn_jax.physics.arms.points import ArmPoints
 from pgrssnn_jax.physics.base import Physics, extension_of
 
 _STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slower, it stands still
+_CERTAIN = 3.0  # standard deviations of a speed whose sign is known
 _LEAST_BLOCKS = 24
 _AT_ONCE = 4  # derivatives that one program computes: one program for all
 _JUDGED = frozenset(("drive", "torque", "position", "masses"))  # extension points that a torque depends on
@@ -31,7 +33,7 @@ Errors = Float[np.ndarray, "n batch"]
 
 class Samples(NamedTuple):
     """Of all sequences end to end, each of `length` samples. torque: of the motors, Nm; block: those of one number are
-    left out together; moving: does the joint?"""
+    left out together; moving: does the joint? counted: is the sample part of the evidence?"""
 
     reading: Errors
     v: Errors
@@ -39,11 +41,17 @@ class Samples(NamedTuple):
     torque: Errors
     block: Int[np.ndarray, " batch"]
     moving: Bool[np.ndarray, "n batch"]
+    counted: Bool[np.ndarray, "n batch"]
     length: int
 
     @property
     def blocks(self) -> int:
         return int(self.block.max()) + 1
+
+    def regimes(self, joint: int) -> list[Bool[np.ndarray, " batch"]]:
+        """Samples that count, moving and at rest, where there are any."""
+        moving, counted = self.moving[joint], self.counted[joint]
+        return [regime for regime in (moving & counted, ~moving & counted) if regime.any()]
 
 
 def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"]) -> Samples:
@@ -53,7 +61,9 @@ def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"]) -> Samples:
     within = np.minimum(np.arange(time) * pieces // time, pieces - 1)
     blocks = (np.arange(sequences)[:, None] * pieces + within).ravel()
     reading, v, a, torque = (np.ascontiguousarray(one.reshape(-1, n).T) for one in motion[:4])
-    return Samples(reading, v, a, torque, blocks, np.abs(v) > _STILL * fastest[:, None], time)
+    hidden = _CERTAIN * motion.unsure > _STILL * fastest
+    moving = np.abs(v) > np.where(hidden, _CERTAIN * motion.unsure, _STILL * fastest)[:, None]
+    return Samples(reading, v, a, torque, blocks, moving, moving | ~hidden[:, None], time)
 
 
 def fastest_of(motion: Motion) -> Float[np.ndarray, " n"]:

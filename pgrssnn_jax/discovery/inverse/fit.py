@@ -118,9 +118,7 @@ def gains_by_block(
     """The σ of a joint in a regime are those of each model."""
     by_block = np.zeros((len(remembered), samples.blocks))
     for joint, kappa in enumerate(remembered):
-        for regime in (samples.moving[joint], ~samples.moving[joint]):
-            if not regime.any():
-                continue
+        for regime in samples.regimes(joint):
             one, other = (e[joint, regime] ** 2 for e in (before, after))
             old, new = one.mean(), other.mean()
             if not old > 0 or not new > 0:
@@ -140,14 +138,13 @@ def _sigma(error: Errors, samples: Samples) -> Errors:
     """σ of every sample."""
     found = np.ones_like(error)
     for joint, one in enumerate(error):
-        for regime in (samples.moving[joint], ~samples.moving[joint]):
-            if regime.any():
-                found[joint, regime] = np.sqrt(np.mean(one[regime] ** 2))
+        for regime in samples.regimes(joint):
+            found[joint, regime] = np.sqrt(np.mean(one[regime] ** 2))
     return np.maximum(found, _LEAST * found.max())
 
 
 def regime_weight(error: Errors, samples: Samples, kappa: Float[np.ndarray, " n"]) -> Errors:
-    return 1.0 / (_sigma(error, samples) ** 2 * kappa[:, None])
+    return samples.counted / (_sigma(error, samples) ** 2 * kappa[:, None])
 
 
 def _cost(torques: Torques, error: Errors, weight: Errors, theta: np.ndarray) -> float:

@@ -32,7 +32,7 @@ PerSample = Float[np.ndarray, "seq time n"]
 class Motion(NamedTuple):
     """reading, v, a: position as encoders read it, rad, its rate and the rate of that; torque: of the motors, Nm; all
     at the same moments, `spacing` s apart. cutoff: Hz, None where nothing was filtered; noise: standard deviation of a
-    over that of the signal in it, per joint."""
+    over that of the signal in it, per joint; unsure: standard deviation of v, rad/s."""
 
     reading: PerSample
     v: PerSample
@@ -41,6 +41,7 @@ class Motion(NamedTuple):
     spacing: float
     cutoff: float | None
     noise: Float[np.ndarray, " n"]
+    unsure: Float[np.ndarray, " n"]
 
 
 def motion_of(
@@ -77,7 +78,8 @@ def motion_of(
     noise = np.sqrt(floor * (2 * np.pi) ** 4 * upper**5 / 5)
     size = a.std(axis=(0, 1))
     ratio = noise / np.sqrt(np.maximum(size**2 - noise**2, 1e-300))
-    return Motion(q, v, a, u[:, kept], dt, chosen if filtered else None, ratio)
+    unsure = np.sqrt(floor * (2 * np.pi) ** 2 * upper**3 / 3)
+    return Motion(q, v, a, u[:, kept], dt, chosen if filtered else None, ratio, unsure)
 
 
 def filters(cutoff: float, dt: float) -> bool:
@@ -88,7 +90,7 @@ def filters(cutoff: float, dt: float) -> bool:
 def thinned(motion: Motion, step: int) -> Motion:
     """Every `step`-th sample."""
     reading, v, a, torque = (one[:, ::step] for one in motion[:4])
-    return Motion(reading, v, a, torque, motion.spacing * step, motion.cutoff, motion.noise)
+    return Motion(reading, v, a, torque, motion.spacing * step, *motion[5:])
 
 
 def spectrum_of(y: PerSample, dt: float) -> tuple[float, Float[np.ndarray, " n"]]:

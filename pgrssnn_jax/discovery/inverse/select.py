@@ -22,7 +22,7 @@ from pgrssnn_jax.discovery.settings import Criteria
 
 _KNOWN = {"viscous_friction": "B", "coulomb_friction": "Tc"}  # effects whose law is that of a number of the physics
 _FINALISTS = 4
-_FALL = 0.05  # of the logarithm of the RMS error of the joint that gains most: less is not worth a name
+_FALL = 0.1  # of the logarithm of the RMS error of the joint that gains most: less is not worth a name
 Active = Mapping[str, Int[np.ndarray, " _"]]
 
 
