@@ -26,7 +26,7 @@ from pgrssnn_jax.records.record import Record
 
 NOISIEST = 0.1  # standard deviation of accelerations over that of their noise: above, runs are simulated instead
 FRICTION = {"viscous_friction": "B", "coulomb_friction": "Tc"}
-_SAMPLES, _COARSE = 2000, 500  # of each joint: on which effects are fitted, and on which structures are compared
+_SAMPLES, _FINAL, _COARSE = 2000, 1000, 500  # of each joint: for effects, for the best structures, for all of them
 _SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belongs to it
 _OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
 _IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
@@ -160,8 +160,9 @@ def _search(
     tried = best_structures(model, coarse, search.own, search.kappa, chosen.folds)
     reading = _reading(search, tried[0], setup, motion)
     notify(f"evidence: inverse dynamics, {reading.words}")
-    search = search._replace(samples=samples_of(_few(reading.of(setup.estimation), _SAMPLES), fastest))
-    tried = finalists(search, tried)
+    motion = reading.of(setup.estimation)
+    tried = finalists(search._replace(samples=samples_of(_few(motion, _FINAL), fastest)), tried)
+    search = search._replace(samples=samples_of(_few(motion, _SAMPLES), fastest))
     inside = _plausible(near(problem, tried[0].structure), fastest)
     return reading, search._replace(torques=replace(model, problem=inside)), tried
 

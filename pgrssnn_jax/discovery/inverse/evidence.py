@@ -3,6 +3,7 @@
     e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        D = ∂drive/∂u: motor torque, Nm; zero where the model is right
 
 q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
+What a step adds to the velocities once its torques have acted is taken off q̈: S q̇ / dt, say.
 Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any
 torque within its reach. Where the noise hides which of both it does, and which way, only the samples in which it moves
 for certain count: friction of an unknown sign would look like less friction at low speed.
@@ -10,6 +11,7 @@ for certain count: friction of an unknown sign would look like less friction at 
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -27,7 +29,8 @@ _STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slo
 _CERTAIN = 3.0  # standard deviations of a speed whose sign is known
 _LEAST_BLOCKS = 24
 _AT_ONCE = 4  # derivatives that one program computes: one program for all
-_JUDGED = frozenset(("drive", "torque", "position", "masses"))  # extension points that a torque depends on
+_JUDGED = frozenset(("drive", "torque", "position", "masses", "disturbance"))  # points that a torque depends on
+_HEAVY = frozenset(("masses", "position", "disturbance"))  # those that the inverse dynamics depend on
 Errors = Float[np.ndarray, "n batch"]
 
 
@@ -107,7 +110,9 @@ def torques(problem: Problem) -> Torques:
         """Torque of the motion on the link side."""
         p = problem.code.unravel(theta)
         assert points.masses is not None
-        return points.inverse(p, jax.vmap(points.position, (None, 1), 1)(p, reading), v, a, points.masses(p))
+        q = jax.vmap(points.position, (None, 1), 1)(p, reading)
+        given = jax.vmap(partial(points.disturbance, p), (1, 1), 1)(state := jnp.concatenate([reading, v]), state)
+        return points.inverse(p, q, v, a - (given[len(v) :] - v) / problem.physics.dt, points.masses(p))
 
     def missing(theta: jax.Array, needed: jax.Array, reading: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
         p = problem.code.unravel(theta)
@@ -130,7 +135,7 @@ def torques(problem: Problem) -> Torques:
         needed = required(theta, reading, v, a)
         return along_each(lambda numbers: missing(numbers, needed, reading, v, u), theta, along)
 
-    moves = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & {"masses", "position"}]
+    moves = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & _HEAVY]
     places = [problem.of(name) for name in moves]
     return Torques(problem, np.concatenate([[], *places]).astype(int), *map(jax.jit, (errors, heavy, light)))
 

@@ -189,10 +189,23 @@ def _screened(search: Search, now: Model) -> dict[str, tuple[Gain, Float[np.ndar
             continue
         starts = [] if effect.name in now.active else effect.guesses(span)
         for theta in [problem.put(now.fit.theta, effect.name, numbers) for numbers in starts] or [now.fit.theta]:
-            fit = search.linear(theta, {**now.active, effect.name: places})
+            active = {**now.active, effect.name: places}
+            fit = search.linear(theta, active, _derivatives(search, now, theta, active))
             better = search.gain(now.fit, fit)
             if effect.name not in found or better.value > found[effect.name][0].value:
                 found[effect.name] = better, theta
+    return found
+
+
+def _derivatives(search: Search, now: Model, theta: np.ndarray, active: Active) -> Float[np.ndarray, "k n batch"]:
+    """By all numbers of more effects; those by the others are as good as before, wherever a fit begins."""
+    places = search.places(active)
+    new = ~np.isin(places, now.fit.places)
+    known = dict(zip(now.fit.places.tolist(), now.fit.derivatives, strict=True))
+    found = np.empty((len(places), *now.fit.error.shape))
+    found[new] = search.torques.derivatives(theta, search.samples, places[new])
+    for row in np.flatnonzero(~new):
+        found[row] = known[int(places[row])]
     return found
 
 
