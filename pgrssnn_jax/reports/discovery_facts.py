@@ -174,7 +174,8 @@ def remarks(discovery: Discovery) -> list[str]:
 
 
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
-    """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs."""
+    """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs. Those that were
+    taken out, zero without a deviation, are left out."""
     rows = []
     for name, parameter in (effect.get("parameters") or {}).items():
         values = _array(parameter.get("value"))
@@ -186,6 +187,7 @@ def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
         rows += [
             Quantity(n, float(v), float(s), unit, b == 1.0)
             for n, v, s, b in zip(names, values.flat, stds, at_bound, strict=True)
+            if v or s or b == 1.0
         ]
     return rows
 

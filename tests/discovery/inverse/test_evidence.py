@@ -11,7 +11,7 @@ from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.arms.build import arm
 
 pytestmark = pytest.mark.usefixtures("x64")
-NOT_SEEN = {"joint_limit", "stiction", "velocity_disturbance"}
+NOT_SEEN = {"joint_limit", "stiction"}
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +34,34 @@ def test_a_true_model_leaves_the_noise_of_the_torques(physics):
     samples = some(log(0, torque_noise=0.02, noise=0.0), 400)
     error = torques(problem).errors(problem.theta, samples)[samples.moving]
     assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_what_a_step_adds_to_a_velocity_is_no_work_of_the_torques(physics):
+    """S q̇ in every sample: the torque is that of the arm which accelerates by S q̇ / dt less."""
+    problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
+    samples, share = some(log(2)), np.linspace(-0.2, 0.2, KUKA.n)
+    theta = problem.put(problem.theta, "velocity_disturbance", {"S": share})
+    found = torques(problem).errors(theta, samples)
+    less = samples._replace(a=samples.a - share[:, None] * samples.v / DT)
+    np.testing.assert_allclose(found, torques(problem).errors(problem.theta, less), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_joints_of_an_unknown_direction_do_not_count(noise):
+    motion = motion_of(log(0, noise=noise), DT, at_rest=False, shift=1.0)
+    samples = samples_of(motion, fastest_of(motion))
+    if not noise:
+        assert samples.counted.all()
+        return
+    true = motion_of(log(0, noise=0.0), DT, at_rest=False, shift=1.0, cutoff=motion.cutoff, edge=_lost(motion))
+    right = np.sign(samples.v) == np.sign(true.v.reshape(-1, KUKA.n).T)
+    assert not samples.counted.all()
+    assert right[samples.counted].mean() > 0.997  # three standard deviations
+    assert right[~samples.counted].mean() < 0.97
+
+
+def _lost(motion):
+    return (300 - motion.v.shape[1]) // 2
 
 
 def test_derivatives_are_those_of_finite_differences(physics):

@@ -26,6 +26,7 @@ def test_the_noise_of_accelerations_is_what_the_spectrum_says(noise):
     same = motion_of(quiet, DT, at_rest=False, shift=1.0, cutoff=found.cutoff)
     error = (found.a - same.a).std(axis=(0, 1)) / a.std(axis=(0, 1))
     np.testing.assert_allclose(found.noise, error, rtol=0.5)
+    np.testing.assert_allclose(found.unsure, (found.v - same.v).std(axis=(0, 1)), rtol=0.5)
     assert found.cutoff > 0.23 / 2
 
 
