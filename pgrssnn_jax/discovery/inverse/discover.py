@@ -121,7 +121,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         (last, active), samples = chosen.final, search.samples
         fits = {"recalibrated": chosen.recalibrated, "after": last}
         std = {name: deviations(problem, fit, samples) for name, fit in fits.items()}
-        friction = changed_friction(problem, last, std["after"], FRICTION)
+        friction = changed_friction(search._replace(kappa=chosen.kappa), chosen.final, std["after"], FRICTION)
         p_values = chances(problem, samples, chosen, setup.settings.seed)
         told = time.perf_counter()
         theta = {"before": problem.theta} | {name: wrapped(problem, fit.theta) for name, fit in fits.items()}

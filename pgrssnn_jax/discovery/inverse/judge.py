@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.inverse.evidence import Samples
-from pgrssnn_jax.discovery.inverse.fit import Fit, gains_by_block
-from pgrssnn_jax.discovery.inverse.select import Chosen, own_places
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, gains_by_block
+from pgrssnn_jax.discovery.inverse.select import Chosen, Model, Search, own_places
 from pgrssnn_jax.discovery.problem import Problem
 
 _CERTAIN = 3.0  # standard deviations
@@ -64,12 +64,22 @@ def departed(problem: Problem, fit: Fit) -> Int[np.ndarray, " k"]:
 
 
 def changed_friction(
-    problem: Problem, fit: Fit, std: Float[np.ndarray, " p"], names: Mapping[str, str]
+    search: Search, final: Model, std: Float[np.ndarray, " p"], names: Mapping[str, str]
 ) -> dict[str, Int[np.ndarray, " _"]]:
-    """Places of own numbers that left their prior for certain, by the effect that has their law; names: the number of
-    each effect."""
-    own = own_places(problem)
+    """Places of own numbers that left their prior for certain, and without which a joint's torque is predicted clearly
+    worse, by the effect that has their law; names: the number of each effect."""
+    problem, fit, own = search.problem, final.fit, search.own
     away, known = np.abs(fit.theta[own] - problem.theta[own]), _FRICTION * np.abs(problem.theta[own])
     gone = own[(away > 1.96 * known) & (away > _CERTAIN * std[own])]
+    gone = gone[[search.worth(_gain_of(search, final, int(place))) for place in gone]]
     found = {name: gone[[problem.slots[i].path == (symbol,) for i in gone]] for name, symbol in names.items()}
     return {name: places for name, places in found.items() if len(places)}
+
+
+def _gain_of(search: Search, final: Model, place: int) -> Gain:
+    """Of an own number over what it was given as; the others are refitted."""
+    theta = final.fit.theta.copy()
+    theta[place] = search.problem.theta[place]
+    others = search._replace(own=search.own[search.own != place])
+    known = final.fit.derivatives[final.fit.places != place]
+    return search.gain(others.linear(theta, final.active, known), final.fit)
