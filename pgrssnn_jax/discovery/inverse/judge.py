@@ -72,7 +72,10 @@ def changed_friction(
     away, known = np.abs(fit.theta[own] - problem.theta[own]), _FRICTION * np.abs(problem.theta[own])
     gone = own[(away > 1.96 * known) & (away > _CERTAIN * std[own])]
     gone = gone[[search.worth(_gain_of(search, final, int(place))) for place in gone]]
-    found = {name: gone[[problem.slots[i].path == (symbol,) for i in gone]] for name, symbol in names.items()}
+    paths = {
+        name: ((symbol,), (name, symbol)) for name, symbol in names.items()
+    }  # of the physics, of an earlier finding
+    found = {name: gone[[problem.slots[i].path in known for i in gone]] for name, known in paths.items()}
     return {name: places for name, places in found.items() if len(places)}
 
 

@@ -97,3 +97,16 @@ def test_friction_that_is_another_one_is_named_and_ten_per_cent_are_not():
     assert set(names.values()) == {(3,)}
     off = 1 + 0.1 * np.array([1, -1, 1, -1, 1, -1])
     assert not discovered(friction=off).effects
+
+
+@pytest.mark.slow
+def test_what_has_changed_since_an_earlier_log_is_all_that_is_named():
+    """A calibrated arm, then a tool and a bearing that has stiffened."""
+    bias, stiff = np.array([0.0, 150.0, -80.0, 0.0, 0.0, 0.0]), np.array([1.0, 1.0, 1.6, 1.0, 1.0, 1.0])
+    calibrated = discovered(bias=bias).physics
+    changes = {"bias": bias, "friction": stiff, "model": loaded(40.0, (0.0, 0.0, -0.1))}
+    later = pg.discover(calibrated, log(3, **changes), log(4, sequences=3, **changes), **QUIET)
+    assert later.effects[0].name == "payload"
+    assert {effect.name for effect in later.effects} == {"payload", "coulomb_friction", "viscous_friction"}
+    assert numbers(later)["payload"]["mass"] == pytest.approx(40.0, rel=0.05)
+    assert {effect.joints for effect in later.effects if effect.name != "payload"} == {(3,)}
