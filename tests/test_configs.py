@@ -150,7 +150,7 @@ def groups() -> dict[str, set[str]]:
 
 
 def test_every_group_is_there():
-    assert groups()["data"] == {"cascaded_tank", "lgssm", "robot_real", "robot_simulated", "csv"}
+    assert groups()["data"] == {"cascaded_tank", "lgssm", "robot_real", "robot_simulated", "csv", "arm_log"}
     assert groups()["fit"] == {"published"}
     assert groups()["members"] == {"auto"}
     assert groups()["discovery"] == {"standard"}

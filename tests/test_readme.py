@@ -28,7 +28,7 @@ COMMANDS = sorted(
     {
         line.split(" #")[0].strip()
         for page in PAGES
-        for line in page.read_text().splitlines()
+        for line in page.read_text().replace("\\\n", "").splitlines()
         if line.startswith(SCRIPTS)
     }
 )
@@ -82,7 +82,8 @@ def test_every_link_leads_somewhere(page):
 #: written by a run, or the reader's own
 _NOT_HERE = re.compile(
     r"[A-Z]\.csv|my_\w+\.\w+|(config\.yaml|environment\.json|physics\.json|history\.csv|metrics\.json|predictions\.npz"
-    r"|report\.html|discovery\.(json|npz)|traceback\.txt|tables\.\w+)|(checkpoint|figures)/.*|table1_tank/.*|runs/.+/.+"
+    r"|report\.html|discovery\.(json|npz)|corrected\.(json|urdf)|traceback\.txt|tables\.\w+)"
+    r"|(checkpoint|figures)/.*|table1_tank/.*|runs/.+/.+"
 )
 
 

@@ -48,9 +48,9 @@ def load_arm_log(
     physics: Physics,
     time: str | None = "time",
     sample_time: float | None = None,
-    position: str | Sequence[str] = "position_{}",
+    position: str | Sequence[str] = "position_%d",
     velocity: str | Sequence[str] | None = None,
-    torque: str | Sequence[str] = "torque_{}",
+    torque: str | Sequence[str] = "torque_%d",
     position_unit: Literal["rad", "deg"] = "rad",
     position_side: Side = "link",
     position_zero: PerJoint = 0.0,
@@ -66,7 +66,7 @@ def load_arm_log(
 
     train, test: CSV or NPZ; test: None takes the last `test_share` of `train`, in time of a single sequence.
     validation: None: the end of the rest. time: column, s; None: samples every `sample_time` s. position, velocity,
-    torque: a pattern, whose {} stands for 1 to n, a list of columns, or an array of an NPZ file; velocity, in the unit
+    torque: a pattern, whose %d stands for 1 to n, a list of columns, or an array of an NPZ file; velocity, in the unit
     of the position per s, says how positions are interpolated. position_unit: rad | deg. position_side, torque_side:
     link | motor. position_zero: z, rad. torque_constant: k, Nm/A, where torques are currents. transmission: N, or the
     ratios on its diagonal; None: the gear ratios of the physics. cutoff: Hz of the low-pass filter, None: 0.4 /

@@ -14,7 +14,7 @@ Names = str | Sequence[str]
 
 
 class Columns(NamedTuple):
-    """time: None for samples every `step` s; position, torque, velocity (None: not measured): a pattern, whose {}
+    """time: None for samples every `step` s; position, torque, velocity (None: not measured): a pattern, whose %d
     stands for 1 to n, a list of names, or the name of an array `[time, joint]`."""
 
     time: str | None
@@ -102,14 +102,14 @@ def _names(names: Names, n: int) -> list[str]:
 
 
 def _is_array(names: Names) -> bool:
-    return isinstance(names, str) and "{}" not in names
+    return isinstance(names, str) and "%d" not in names
 
 
 def _listed(names: Names, n: int) -> list[str]:
     """One name per joint."""
-    found = [names.replace("{}", str(i + 1)) for i in range(n)] if isinstance(names, str) else [str(x) for x in names]
+    found = [names.replace("%d", str(i + 1)) for i in range(n)] if isinstance(names, str) else [str(x) for x in names]
     if len(found) != n or len(set(found)) != n:
-        raise ValueError(f"expected one column per joint, {n} (a list, or a pattern with {{}}), found {names!r}")
+        raise ValueError(f"expected one column per joint, {n} (a list, or a pattern with %d), found {names!r}")
     return found
 
 

@@ -50,7 +50,7 @@ def write(folder, time, position, torque, velocity=None, sequence=None):
     return file
 
 
-NAMED = {"time": "t", "position": "pos{}", "torque": "cur{}"}
+NAMED = {"time": "t", "position": "pos%d", "torque": "cur%d"}
 
 
 def whole(splits):
@@ -97,7 +97,7 @@ def test_a_clock_that_jitters_is_made_even(tmp_path, three):
     q, v, tau = motion(time)
     settings = {"physics": three, **NAMED, "torque_side": "link"}
     plain = load_arm_log(train=write(tmp_path, time, q, tau), **settings)
-    hermite = load_arm_log(train=write(tmp_path, time, q, tau, v), **settings, velocity="vel{}")
+    hermite = load_arm_log(train=write(tmp_path, time, q, tau, v), **settings, velocity="vel%d")
     for splits in (plain, hermite):
         _, y = whole(splits)
         assert_inside(y, motion(DT * np.arange(len(y)))[0], 1e-3)
@@ -131,7 +131,7 @@ def test_sequences_of_a_file_stay_apart(tmp_path, three):
 
 
 BAD = {
-    "a column": ({"position": "angle{}"}, "data.train: .*column 'angle1': expected a column of this name"),
+    "a column": ({"position": "angle%d"}, "data.train: .*column 'angle1': expected a column of this name"),
     "a pattern": ({"position": ["pos1", "pos2"]}, "data.train: expected one column per joint, 3"),
     "a singular wrist": ({"transmission": [[1, 1, 0], [1, 1, 0], [0, 0, 1]]}, "data.transmission: .* can be inverted"),
     "ratios": ({"transmission": [1.0, 2.0]}, "data.transmission: expected 3 ratios"),
