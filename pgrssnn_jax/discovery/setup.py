@@ -10,7 +10,7 @@ import numpy as np
 from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.stretches import check_stretches
-from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.effects.base import Effect, own_of
 from pgrssnn_jax.effects.systems import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.matching import matched
@@ -114,8 +114,8 @@ def _fixed(names: Sequence[str], physics: Physics) -> list[str]:
     for name in names:
         of, _, bare = str(name).rpartition(".")
         if of in ("", physics.name):
-            if bare not in physics.params:
-                known = f"{list(physics.params)} of physics {physics.name!r}"
+            if bare not in own_of(physics.params):
+                known = f"{list(own_of(physics.params))} of physics {physics.name!r}"
                 raise ValueError(f"discovery.fixed: expected some of {known}, found {bare!r}")
             found.append(bare)
     return found

@@ -84,7 +84,7 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
             rows.append(f"{name},{now},{x + 0.02 * draw.standard_normal()}")
     (tmp_path / "two.csv").write_text("\n".join(["sequence,u,y", *rows]))
     pair = [f"data.train={tmp_path / 'two.csv'}", f"data.validation={tmp_path / 'two.csv'}", *files(tmp_path)[1:]]
-    setup = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
+    setup, _ = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
     said = discovery_json(discover(setup, lambda line: None), setup, command="")
     (effect,) = said["effects"]
     above = sum(float(row.split(",")[1]) > 0.8 for row in rows)
@@ -98,7 +98,7 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
 @pytest.mark.slow
 def test_a_saturation_is_found_in_stretches_too(tmp_path):
     config = composed(*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]", name="discover")
-    setup = checked(config, lambda line: None)
+    setup, _ = checked(config, lambda line: None)
     found = discover(setup, lambda line: None)
     assert found.judgement.verdict == "effect_found"
     assert found.selection.final.estimate.active == ("input_saturation",)
@@ -120,7 +120,7 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
             rows.append(f"{sequence},{now},{x + 0.02 * draw.standard_normal()},{int(short or t % 2 == 0)}")
     (tmp_path / "train.csv").write_text("\n".join(["sequence,u,y,mask", *rows]))
     pair = [f"data.train={tmp_path / 'train.csv'}", f"data.validation={tmp_path / 'train.csv'}", *files(tmp_path)[1:]]
-    setup = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
+    setup, _ = checked(composed(*LINEAR, *pair, *SHORT, name="discover"), lambda line: None)
     found = discover(setup, lambda line: None)
     assert found.judgement.verdict == "effect_found"
     assert found.selection.final.estimate.active == ("input_saturation",)
