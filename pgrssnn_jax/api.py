@@ -25,6 +25,7 @@ from pgrssnn_jax.data.sources import channels
 from pgrssnn_jax.discovery.checks import check_physics
 from pgrssnn_jax.discovery.discover import discover as discover_from
 from pgrssnn_jax.discovery.inverse.discover import discover_by_torques, motion_evidence
+from pgrssnn_jax.discovery.inverse.filter_form import filter_form
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.inverse.serialise import torques_arrays, torques_json
 from pgrssnn_jax.discovery.network import network_shares, plan_network
@@ -54,7 +55,8 @@ from pgrssnn_jax.training.train import first_checkpoint, train_members
 
 __all__ = [
     "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
-    "discover", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "record", "rollout", "simulate",
+    "discover", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "record", "rollout",
+    "simulate",
 ]  # fmt: skip
 
 Callback = Callable[[Progress], bool | None]

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from pgrssnn_jax.cli.config_store import shared_start
 from pgrssnn_jax.data.benchmarks import LOADERS, as_records
+from pgrssnn_jax.discovery.inverse.filter_form import filter_form
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import read_stored, stored_physics
 from pgrssnn_jax.physics.base import Origin, Physics
@@ -41,7 +42,11 @@ def load_experiment(
     unknown = sorted(config.keys() - _KEYS - {"discovery"})
     if unknown:
         raise ValueError(f"configuration: expected the keys {sorted(_KEYS)}, found {unknown[0]!r}")
-    physics = load_physics(config["physics"], effects=effects)
+    group = dict(config["physics"])
+    unnumbered = group.get("form") == "filter" and group.get("filter_numbers") is None
+    if unnumbered:
+        del group["form"]
+    physics = load_physics(group, effects=effects)
     if physics.remark:
         notify(physics.remark)
     data = config["data"]
@@ -52,7 +57,10 @@ def load_experiment(
     splits = call_with(LOADERS[data["name"]], given, "data", physics=physics, notify=notify)
     start = shared_start(data, config["initial_state"])
     splits = Splits(*(part._replace(info=replace(part.info, start=start)) for part in splits))
-    return Experiment(physics, *as_records(splits))
+    train, test = as_records(splits)
+    if unnumbered and physics.settings.get("form") == "forward":
+        physics = filter_form(physics, train)
+    return Experiment(physics, train, test)
 
 
 _HINTS = {

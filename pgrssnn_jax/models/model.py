@@ -12,6 +12,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 from flax import nnx
 
 from pgrssnn_jax.models.networks import ACTIVATIONS, Networks
@@ -39,6 +41,22 @@ class Model(NamedTuple):
     @property
     def n_x(self) -> int:
         return len(self.physics.states)
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """Places of the states that networks see and correct: all but those that are `inner`."""
+        return tuple(i for i, state in enumerate(self.physics.states) if not state.inner)
+
+    def seen_of(self, x: jax.Array) -> jax.Array:
+        """`[..., seen]` of `[..., x]`."""
+        return x if len(self.seen) == self.n_x else x[..., np.array(self.seen)]
+
+    def whole(self, correction: jax.Array) -> jax.Array:
+        """`[..., x]` of `[..., seen]`, zero for the other states."""
+        if len(self.seen) == self.n_x:
+            return correction
+        none = jnp.zeros((*correction.shape[:-1], self.n_x), correction.dtype)
+        return none.at[..., np.array(self.seen)].set(correction)
 
     def networks(self, params: ModelParams) -> Networks | None:
         """The networks with the weights of `params`; None where the physics stands alone."""
@@ -69,7 +87,8 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
         )
     if not spec.networks:
         return Model(spec, physics, None, lambda key: {})
-    sizes = {"n_u": len(physics.inputs), "n_x": len(physics.states), "n_y": len(physics.outputs)}
+    n_x = sum(not state.inner for state in physics.states)
+    sizes = {"n_u": len(physics.inputs), "n_x": n_x, "n_y": len(physics.outputs)}
 
     def create(key: jax.Array) -> Networks:
         return Networks(spec, **sizes, rngs=nnx.Rngs(params=key))

@@ -89,9 +89,10 @@ def _fused(
         if networks is not None:
             seen = u_t_scaled
             if model.spec.feedback:
-                seen = jnp.concatenate([seen, params.scaling.x.to_scaled(x)], -1)
+                seen = jnp.concatenate([seen, model.seen_of(params.scaling.x.to_scaled(x))], -1)
             phi = networks.features_u(seen)
-            new = new + params.scaling.x.unscale_difference(networks.f_nn(h[-1] if h else None, phi))
+            correction = model.whole(networks.f_nn(h[-1] if h else None, phi))
+            new = new + params.scaling.x.unscale_difference(correction)
             below = phi
             for i, layer in enumerate(networks.gru):
                 h[i] = below = layer.step(h[i], layer.project(below))
@@ -114,7 +115,7 @@ def _split(
         for layer in networks.gru:
             states = layer.scan(layer.project(states))
         h_before = delayed(states) if len(networks.gru) else None
-        correction = params.scaling.x.unscale_difference(networks.f_nn(h_before, phi))
+        correction = params.scaling.x.unscale_difference(model.whole(networks.f_nn(h_before, phi)))
     if not model.spec.guided:
         return correction
 
@@ -139,4 +140,6 @@ def _measure(model: Model, params: ModelParams, networks: Networks | None, x: ja
         y = scaling.y.to_physical(jnp.zeros((*x.shape[:2], len(model.physics.outputs)), x.dtype))
     if networks is None:
         return y
-    return y + scaling.y.unscale_difference(networks.g_nn(scaling.x.to_scaled(x), scaling.u.to_scaled(u)))
+    return y + scaling.y.unscale_difference(
+        networks.g_nn(model.seen_of(scaling.x.to_scaled(x)), scaling.u.to_scaled(u))
+    )

@@ -1,7 +1,8 @@
 """Scaling of a model's states, from one training record and the physics.
 
 A state that is `like` an output shares that output's scaling; the rate of something that is measured is scaled by the
-size of its differences; any other state by a simulation of the physics over the training inputs.
+size of its differences; any other state by a simulation of the physics over the training inputs, but for those that
+networks do not see.
 """
 
 import jax.numpy as jnp
@@ -33,7 +34,8 @@ def fit_scaling(train: Record, physics: Physics, *, rates_like_outputs: bool = F
     offset, scale = np.zeros(len(physics.states)), np.ones(len(physics.states))
     rates = [measured_rate(physics, state) for state in physics.states]
     inputs = [signal.name for signal in physics.inputs]
-    if not all(s.like or rate or s.memory_of in inputs for s, rate in zip(physics.states, rates, strict=True)):
+    known = (s.inner or s.like or rate or s.memory_of in inputs for s, rate in zip(physics.states, rates, strict=True))
+    if not all(known):
         simulated = _simulated_states(train, physics)
         offset, scale = simulated.mean(0), simulated.std(0)
     for i, (state, rate) in enumerate(zip(physics.states, rates, strict=True)):

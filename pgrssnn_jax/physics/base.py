@@ -50,7 +50,7 @@ class Signal(NamedTuple):
     first value at the start; of a state, what that has done: zero at the start, scaled by a simulation. range: beyond
     it a value must be in another unit (degrees for rad); data are checked against it. start: its value at the start of
     a record, where it is known. fit_initial: a memory that lasts, whose start a fit must find like that of a state of
-    the physics.
+    the physics. inner: of a state that networks neither see nor correct: a covariance, say.
     """
 
     name: str
@@ -61,6 +61,7 @@ class Signal(NamedTuple):
     memory_of: str | None = None
     start: float | None = None
     fit_initial: bool = False
+    inner: bool = False
 
 
 class Origin(NamedTuple):

@@ -151,8 +151,9 @@ class Objective(NamedTuple):
         networks, u = self.model.networks(params), record.u
         if networks is None:
             return jnp.zeros((), x.dtype)
-        n_u, n_z = u.shape[-1], u.shape[-1] + x.shape[-1]
-        samples = jnp.concatenate([params.scaling.u.to_scaled(u), params.scaling.x.to_scaled(x)], -1)
+        n_u, n_z = u.shape[-1], u.shape[-1] + len(self.model.seen)
+        seen = self.model.seen_of(params.scaling.x.to_scaled(x))
+        samples = jnp.concatenate([params.scaling.u.to_scaled(u), seen], -1)
         points, valid = jnp.asarray(surrogate_points(n_z), x.dtype), valid_mask(record)
         counted = jnp.ones(u.shape[:2], bool) if valid is None else jnp.asarray(valid)
         # which states are visited is not to be moved by the penalty

@@ -81,6 +81,8 @@ def motion_evidence(setup: Setup) -> Motion | None:
     were measured, in records much longer than what a filter cannot see at their ends, with accelerations that stand out
     of their noise. None where they cannot."""
     wanted = setup.settings.evidence
+    if setup.physics.settings.get("form") == "filter":
+        raise ValueError("physics.form: expected forward in a discovery, found filter")
     if wanted == "free_run" or (wanted == "auto" and system_of(setup.physics) != "arm"):
         return None
     motion, reason = None, _unfit(setup)

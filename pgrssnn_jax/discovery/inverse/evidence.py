@@ -1,9 +1,8 @@
 """The evidence of inverse dynamics: by how much the torque that a model asks for misses the one that was measured.
 
-    e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        D = ∂drive/∂u: motor torque, Nm; zero where the model is right
+    e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        motor torque, Nm; zero where the model is right (`arms/missing.py`)
 
 q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
-What a step adds to the velocities once its torques have acted is taken off q̈: S q̇ / dt, say.
 Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any
 torque within its reach. Where the noise hides which of both it does, and which way, only the samples in which it moves
 for certain count: friction of an unknown sign would look like less friction at low speed.
@@ -11,7 +10,6 @@ for certain count: friction of an unknown sign would look like less friction at 
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -22,6 +20,7 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.base import Effect, points_changed
+from pgrssnn_jax.physics.arms.missing import missing, required
 from pgrssnn_jax.physics.arms.points import ArmPoints
 from pgrssnn_jax.physics.base import Physics, extension_of
 
@@ -36,7 +35,8 @@ Errors = Float[np.ndarray, "n batch"]
 
 class Samples(NamedTuple):
     """Of all sequences end to end, each of `length` samples. torque: of the motors, Nm; block: those of one number are
-    left out together; moving: does the joint? counted: is the sample part of the evidence?"""
+    left out together; moving: does the joint? counted: is the sample part of the evidence? slow: speed below which a
+    joint stands still, rad/s"""
 
     reading: Errors
     v: Errors
@@ -46,6 +46,7 @@ class Samples(NamedTuple):
     moving: Bool[np.ndarray, "n batch"]
     counted: Bool[np.ndarray, "n batch"]
     length: int
+    slow: Float[np.ndarray, " n"]
 
     @property
     def blocks(self) -> int:
@@ -65,8 +66,9 @@ def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"]) -> Samples:
     blocks = (np.arange(sequences)[:, None] * pieces + within).ravel()
     reading, v, a, torque = (np.ascontiguousarray(one.reshape(-1, n).T) for one in motion[:4])
     hidden = _CERTAIN * motion.unsure > _STILL * fastest
-    moving = np.abs(v) > np.where(hidden, _CERTAIN * motion.unsure, _STILL * fastest)[:, None]
-    return Samples(reading, v, a, torque, blocks, moving, moving | ~hidden[:, None], time)
+    slow = np.where(hidden, _CERTAIN * motion.unsure, _STILL * fastest)
+    moving = np.abs(v) > slow[:, None]
+    return Samples(reading, v, a, torque, blocks, moving, moving | ~hidden[:, None], time, slow)
 
 
 def fastest_of(motion: Motion) -> Float[np.ndarray, " n"]:
@@ -101,29 +103,15 @@ class Torques:
 
 
 def torques(problem: Problem) -> Torques:
-    """Of a problem about an arm whose dynamics are in JAX. drive(u) is taken for linear in u."""
+    """Of a problem about an arm whose dynamics are in JAX."""
     known = extension_of(problem.full)
     assert known is not None
     points: ArmPoints = known.points
-
-    def required(theta: jax.Array, reading: jax.Array, v: jax.Array, a: jax.Array) -> jax.Array:
-        """Torque of the motion on the link side."""
-        p = problem.code.unravel(theta)
-        assert points.masses is not None
-        q = jax.vmap(points.position, (None, 1), 1)(p, reading)
-        given = jax.vmap(partial(points.disturbance, p), (1, 1), 1)(state := jnp.concatenate([reading, v]), state)
-        return points.inverse(p, q, v, a - (given[len(v) :] - v) / problem.physics.dt, points.masses(p))
-
-    def missing(theta: jax.Array, needed: jax.Array, reading: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
-        p = problem.code.unravel(theta)
-        q = jax.vmap(points.position, (None, 1), 1)(p, reading)
-        drive = jax.vmap(points.drive, (None, 1), 1)(p, u)
-        given = jax.vmap(points.torque, (None, 1, 1, 1), 1)(p, q, v, drive)
-        by_motor = jax.jacfwd(lambda torque: points.drive(p, torque))(jnp.zeros(len(u), u.dtype))
-        return jnp.linalg.solve(by_motor, given - needed)
+    dt = problem.physics.dt
 
     def errors(theta: jax.Array, reading: jax.Array, v: jax.Array, a: jax.Array, u: jax.Array) -> jax.Array:
-        return missing(theta, required(theta, reading, v, a), reading, v, u)
+        p = problem.code.unravel(theta)
+        return missing(points, p, required(points, p, dt, reading, v, a), reading, v, u)
 
     def along_each(function: Callable[..., jax.Array], theta: jax.Array, along: jax.Array) -> jax.Array:
         return jax.vmap(lambda one: jax.jvp(function, (theta,), (one,))[1])(along)
@@ -132,8 +120,10 @@ def torques(problem: Problem) -> Torques:
         return along_each(lambda numbers: errors(numbers, *samples), theta, along)
 
     def light(theta: jax.Array, along: jax.Array, reading: Any, v: Any, a: Any, u: Any) -> jax.Array:
-        needed = required(theta, reading, v, a)
-        return along_each(lambda numbers: missing(numbers, needed, reading, v, u), theta, along)
+        needed = required(points, problem.code.unravel(theta), dt, reading, v, a)
+        return along_each(
+            lambda numbers: missing(points, problem.code.unravel(numbers), needed, reading, v, u), theta, along
+        )
 
     moves = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & _HEAVY]
     places = [problem.of(name) for name in moves]

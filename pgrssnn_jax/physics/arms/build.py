@@ -10,7 +10,7 @@ of the velocities. Source: Li, Seth, Kok, IFAC 2026, section 4.3, and the releas
 Effects enter at the extension points of `points.py`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,8 +21,10 @@ from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms import jax_dynamics, pinocchio_dynamics
 from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.filter import filter_states, filter_step
 from pgrssnn_jax.physics.arms.jax_dynamics import Derivatives, ForwardDynamics
 from pgrssnn_jax.physics.arms.kinematics import skeleton
+from pgrssnn_jax.physics.arms.motion_prior import MEANINGS, FilterNumbers
 from pgrssnn_jax.physics.arms.points import ArmPoints, own_points
 from pgrssnn_jax.physics.arms.tables import ArmTables, described, without_inertia
 from pgrssnn_jax.physics.arms.urdf import read_urdf
@@ -67,6 +69,9 @@ def arm(
     dt: float = 0.1,
     integrator: str = "rk4_looped",
     sub_steps: int = 1,
+    form: Literal["forward", "filter"] = "forward",
+    filter_numbers: Mapping[str, PerJoint] | None = None,
+    starts_at_rest: bool = True,
     backend: Literal["jax", "pinocchio"] = "jax",
     physics_gradient: Literal["full", "stopped"] = "full",
     derivatives: Derivatives = "reverse",
@@ -77,7 +82,9 @@ def arm(
     stands for all joints. motor_inertia: kg m²; joint_offset, position_min, position_max: rad; velocity_max: rad/s;
     limits: false leaves q and q̇ unlimited. velocity_disturbance: diagonal of S; torque_bias: θ, Nm. measured: false
     when the measurement is not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient
-    through f_phy except that of S, as the released code does. derivatives: the one mode in which f_phy can be
+    through f_phy except that of S, as the released code does. form: filter for the one of `filter.py`, which needs
+    filter_numbers (`FilterNumbers`; `filter_form` finds them in a record) and, where starts_at_rest, takes all joints
+    for at rest at the beginning of a record, where x_0 says. derivatives: the one mode in which f_phy can be
     differentiated, reverse for training, forward for the Jacobians of least squares. Raises `ValueError` for settings
     that do not fit the number of joints.
     """
@@ -85,6 +92,10 @@ def arm(
         raise ValueError(f"physics.physics_gradient: expected full or stopped, found {physics_gradient!r}")
     if derivatives not in ("reverse", "forward"):
         raise ValueError(f"physics.derivatives: expected reverse or forward, found {derivatives!r}")
+    if form not in ("forward", "filter"):
+        raise ValueError(f"physics.form: expected forward or filter, found {form!r}")
+    if form == "filter" and backend != "jax":
+        raise ValueError(f"physics.backend: expected jax with physics.form=filter, found {backend!r}")
     if backend not in BACKENDS:
         raise ValueError(f"physics.backend: expected one of {sorted(BACKENDS)}, found {backend!r}")
     if urdf is None and lock:
@@ -114,10 +125,19 @@ def arm(
     if gravity is not None:
         tables = tables._replace(gravity=_gravity(gravity))
     _check_limits(tables)
-    params = {"G": tables.gear, "B": tables.viscous, "Tc": tables.coulomb, **disturbances}
+    params: dict[str, Any] = {"G": tables.gear, "B": tables.viscous, "Tc": tables.coulomb, **disturbances}
+    meanings: dict[str, Any] = {name: _MEANINGS[name] for name in params}
+    if form == "filter":
+        params["filter"] = _filter_numbers(filter_numbers, tables)
+        meanings["filter"] = MEANINGS._asdict()
     accelerations = BACKENDS[backend](tables, derivatives)
 
     def assemble(points: ArmPoints) -> tuple[Step, Measure]:
+        if form == "filter":
+            return _held(
+                filter_step(points, dt, at_rest=starts_at_rest, limits=limits), physics_gradient
+            ), points.measure
+
         def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
             """d[q, q̇]/dt."""
             reading, v = jnp.split(x, 2)
@@ -129,13 +149,13 @@ def arm(
         step = _step(points, advance, tables, limits=limits, stopped=physics_gradient == "stopped")
         return step, points.measure
 
-    points = own_points(tables, masses=backend == "jax", measured=measured)
+    points = own_points(tables, masses=backend == "jax", measured=measured, filtered=form == "filter")
     physics = discrete(
         "arm",
         *assemble(points),
         params,
-        parameters={name: _MEANINGS[name] for name in params},
-        states=_states(tables.n),
+        parameters=meanings,
+        states=_states(tables.n) + (filter_states(tables.n) if form == "filter" else ()),
         inputs=tuple(Signal(f"torque_{i + 1}", "Nm") for i in range(tables.n)),
         outputs=_outputs(tables, limits=limits),
         dt=dt,
@@ -160,6 +180,29 @@ def per_joint(name: str, value: Any, tables: ArmTables) -> Float[np.ndarray, " n
     if found.shape not in ((), (tables.n,)) or not usable.all():
         raise ValueError(f"physics.{name}: expected one number or {tables.n}, one per joint, found {value}")
     return np.broadcast_to(found, (tables.n,)).copy()
+
+
+def _filter_numbers(given: Mapping[str, PerJoint] | None, tables: ArmTables) -> dict[str, Any]:
+    """Those of `FilterNumbers`, one per joint but for the last two."""
+    expected = FilterNumbers._fields
+    found = given or {}
+    if set(found) != set(expected):
+        raise ValueError(f"physics.filter_numbers: expected {', '.join(expected)}, found {', '.join(found) or 'none'}")
+    single = {"damping", "time"}
+    return {
+        name: _numbers(value) if name in single else per_joint(f"filter_numbers.{name}", value, tables)
+        for name, value in found.items()
+    }
+
+
+def _held(step: Step, physics_gradient: str) -> Step:
+    """A step in the precision of the state, through which gradients pass or not."""
+
+    def held(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
+        known = (jax.tree.map(lambda number: jnp.asarray(number, x.dtype), p), x, u)
+        return step(*(jax.lax.stop_gradient(known) if physics_gradient == "stopped" else known))
+
+    return held
 
 
 def _gravity(value: Any) -> Float[np.ndarray, "3"]:

@@ -83,13 +83,25 @@ def pull_back(
 
 
 def jacobian(chain: Chain, v: Batch, a: Batch, factor: jax.Array, world: World, extra: Extra) -> Matrix:
-    """∂q̈/∂(q, q̇, τ, β), `[n, 3 n + β, batch]`.
+    """∂q̈/∂(q, q̇, τ, β), `[n, 3 n + β, batch]`."""
+    by_q, by_v, _, *by_extra = _slopes(chain, v, a, world, extra)
+    identity = jnp.broadcast_to(jnp.eye(chain.n, dtype=v.dtype)[:, :, None], by_q.shape)
+    return solve(chain, factor, jnp.concatenate([-by_q, -by_v, identity, *(-by for by in by_extra)], 1))
+
+
+def inverse_jacobian(chain: Chain, v: Batch, a: Batch, world: World, extra: Extra) -> Matrix:
+    """∂τ/∂(q, q̇, q̈, β), `[n, 3 n + β, batch]`."""
+    return jnp.concatenate(_slopes(chain, v, a, world, extra), 1)
+
+
+def _slopes(chain: Chain, v: Batch, a: Batch, world: World, extra: Extra) -> list[Matrix]:
+    """∂τ/∂q, ∂τ/∂q̇, ∂τ/∂q̈ = M and ∂τ/∂β of each β.
 
     With c_k = v_p × S_k, e_k = a_p × S_k + v_p × c_k, and of what the deeper one of the joints i and k carries the
     inertia I, its rate J = Σ (v_i ×* I_i - I_i v_i ×), the momentum h and the force F,
 
         ∂τ_i/∂q_k = S_iᵀ (I e_k + J c_k + c_k ×* h  [+ S_k ×* F where k is the deeper]),
-        ∂τ_i/∂q̇_k = S_iᵀ (2 I c_k + J S_k + S_k ×* h)
+        ∂τ_i/∂q̇_k = S_iᵀ (2 I c_k + J S_k + S_k ×* h),        M_ik = S_iᵀ I S_k [+ what turns the motors]
     """
     axes, inertias = world.axes, world.inertias
     own_v = scale(v, axes)
@@ -110,14 +122,24 @@ def jacobian(chain: Chain, v: Batch, a: Batch, factor: jax.Array, world: World, 
     by_v = plus(scale(jnp.asarray(2.0, v.dtype), momentum(whole, c)), changing, held)
     columns_q, columns_v = outer(axes, by_q), outer(axes, by_v)
 
-    above, deeper = _kinship(chain)
-    by = [
-        -(jnp.asarray(above, v.dtype) * columns + jnp.asarray(deeper, v.dtype) * rows)
-        for columns, rows in ((columns_q, rows_q), (columns_v, rows_v))
-    ]
-    identity = jnp.broadcast_to(jnp.eye(chain.n, dtype=v.dtype)[:, :, None], by[0].shape)
-    by += [identity, *(-p for p in _by_extra(chain, world, motion, a, extra) if p is not None)]
-    return solve(chain, factor, jnp.concatenate(by, 1))
+    above, deeper = (jnp.asarray(mask, v.dtype) for mask in _kinship(chain))
+    pairs = ((columns_q, rows_q), (columns_v, rows_v), (outer(axes, heavy), outer(heavy, axes)))
+    by = [above * columns + deeper * rows for columns, rows in pairs]
+    by[2] = by[2] + _of_motors(chain, a, extra)
+    return [*by, *(p for p in _by_extra(chain, world, motion, a, extra) if p is not None)]
+
+
+def _of_motors(chain: Chain, a: Batch, extra: Extra) -> Matrix:
+    """What the motors add to M."""
+    diagonal = (
+        jnp.zeros_like(a) + chain.column(chain.tables.armature, a) + (0.0 if extra.rotor is None else extra.rotor)
+    )
+    added = jnp.eye(chain.n, dtype=a.dtype)[:, :, None] * diagonal[None]
+    if extra.wrist is None:
+        return added
+    inertia, ratio = extra.wrist
+    turning = jnp.zeros_like(a).at[-1].set(1.0).at[-2].set(ratio)
+    return added + (inertia[None] * turning)[:, None] * turning[None]
 
 
 def _kinship(chain: Chain) -> tuple[np.ndarray, np.ndarray]:

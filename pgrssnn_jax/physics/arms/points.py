@@ -19,6 +19,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.chain import Batch, Chain, Extra, torques, world_at
+from pgrssnn_jax.physics.arms.derivatives import inverse_jacobian
+from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers
 from pgrssnn_jax.physics.arms.tables import ArmTables
 
 Joints = Float[jax.Array, " n"]
@@ -34,7 +36,7 @@ class ArmPoints(NamedTuple):
     moving masses are those of the tables whatever an effect says (Pinocchio); inverse(p, q, q̇, q̈, extra) -> Nm that a
     motion takes on the link side, for many samples at once `[n, batch]`; stop(p, x) -> x;
     disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. tables: those of the arm without
-    effects.
+    effects; filter(p): numbers of the filter, None where the arm is not in that form.
     """
 
     drive: Callable[[Any, Joints], Joints]
@@ -46,6 +48,7 @@ class ArmPoints(NamedTuple):
     disturbance: Callable[[Any, State, State], State]
     measure: Callable[[Any, State, Joints], Joints]
     tables: ArmTables
+    filter: Callable[[Any], FilterNumbers] | None = None
 
     @property
     def wrist(self) -> bool:
@@ -54,25 +57,39 @@ class ArmPoints(NamedTuple):
         return n == _WITH_WRIST and parents[-2:] == (n - 3, n - 2)
 
 
-def own_points(tables: ArmTables, *, masses: bool, measured: bool) -> ArmPoints:
-    """The points of an arm without effects. masses: may effects change them? measured: false for y = 0."""
-    chain = Chain(tables)
-
-    def inverse(p: Any, q: Batch, v: Batch, a: Batch, extra: Extra) -> Batch:
-        of_all = jax.tree.map(lambda number: number[:, None], extra)
-        return torques(chain, world_at(chain, q, of_all), v, a, of_all)
-
+def own_points(tables: ArmTables, *, masses: bool, measured: bool, filtered: bool = False) -> ArmPoints:
+    """The points of an arm without effects. masses: may effects change them? measured: false for y = 0; filtered: are
+    its params those of a filter too?"""
     return ArmPoints(
         drive=lambda p, u: p["G"] * u,
         torque=_friction_and_bias,
         position=lambda p, reading: reading,
         masses=(lambda p: Extra()) if masses else None,
-        inverse=inverse,
+        inverse=_inverse_dynamics(Chain(tables)),
         stop=lambda p, x: x,
         disturbance=_known_disturbance,
         measure=_positions if measured else _nothing,
         tables=tables,
+        filter=(lambda p: FilterNumbers(**p["filter"])) if filtered else None,
     )
+
+
+def _inverse_dynamics(chain: Chain) -> Callable[[Any, Batch, Batch, Batch, Extra], Batch]:
+    """M q̈ + h with a derivative in closed form: any number of tangents share one matrix."""
+
+    @jax.custom_jvp
+    def inverse(q: Batch, v: Batch, a: Batch, extra: Extra) -> Batch:
+        return torques(chain, world_at(chain, q, extra), v, a, extra)
+
+    @inverse.defjvp
+    def push(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Batch, Batch]:
+        q, v, a, extra = primals
+        world = world_at(chain, q, extra)
+        matrix = inverse_jacobian(chain, v, a, world, extra)
+        z = jnp.concatenate([jnp.broadcast_to(one, (len(one), q.shape[1])) for one in jax.tree.leaves(tangents)])
+        return torques(chain, world, v, a, extra), (matrix * z[None]).sum(1)
+
+    return lambda p, q, v, a, extra: inverse(q, v, a, jax.tree.map(lambda number: number[:, None], extra))
 
 
 def _friction_and_bias(p: Any, q: Joints, v: Joints, drive: Joints) -> Joints:

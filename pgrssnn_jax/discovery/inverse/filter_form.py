@@ -1,0 +1,140 @@
+"""The numbers of an arm's filter, from a record that has its positions.
+
+q̄, σ_q, σ_q̇, σ_q̈    mean and standard deviations of the motion
+c                     argmin Σ_k (ρ(k dt; c) - ρ_k)²        ρ: autocorrelation of q̇, over half a period of its swing
+σ_d, σ_r, T_d         of the torque residual: while a joint moves, what comes to it at rest, where ρ falls to 1/e
+σ_v                   of the part of the residual that one sample does not share with the next
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import differential_evolution, minimize_scalar
+
+from pgrssnn_jax.discovery.inverse.evidence import fastest_of, samples_of
+from pgrssnn_jax.discovery.inverse.motion import Motion, motion_of
+from pgrssnn_jax.effects.base import WithEffects, own_of
+from pgrssnn_jax.physics.arms.missing import missing, required
+from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers, motion
+from pgrssnn_jax.physics.base import Physics, extension_of
+from pgrssnn_jax.physics.simulate import first_output_state, simulated_states
+from pgrssnn_jax.records.record import Record, map_signals
+
+_TUNED = ("position", "acceleration", "damping", "moving", "resting", "noise", "slow", "time")
+_FURTHEST = 8.0  # what a factor is at the most, and one over it at the least
+_PER_FACTOR = 4  # points of the search for each factor
+_LOST = 5.0  # standard deviations of a position: no error counts for more
+_LEAST = 1e-3  # of the motor torque's standard deviation: what every standard deviation of a torque is at the least
+
+
+def filter_form(physics: Physics, record: Record, *, tune: int = 0, **settings: Any) -> Physics:
+    """The arm in the form of its filter (`physics/arms/filter.py`), its effects with it.
+
+    tune: free runs of the record that the search for factors may take, 0: none (600 took four minutes on 60 sequences
+    of 605 samples); settings: further ones of `arm`. Raises `ValueError` for a physics that is no arm in JAX, and for
+    positions that were not measured throughout.
+    """
+    record = map_signals(record, lambda signal: signal.reshape(-1, *signal.shape[-2:]))  # all datasets
+    at_rest = record.info.start == "rest"
+    numbers = filter_numbers(physics, motion_of(record, physics.dt, at_rest=at_rest))
+    given = {name: np.asarray(value) for name, value in numbers._asdict().items()}
+    filtered = physics.variant(form="filter", filter_numbers=given, starts_at_rest=at_rest, **settings)
+    if not tune:
+        return filtered
+    factors = _factors(filtered, record, tune)
+    return filtered.variant(filter_numbers={name: value * factors.get(name, 1.0) for name, value in given.items()})
+
+
+def _factors(filtered: Physics, record: Record, most: int) -> dict[str, float]:
+    """By differential evolution (Storn and Price, 1997): the error has many local minima, because a joint that lost
+    its way stays lost."""
+    u, y = jnp.asarray(record.u, jnp.float32), np.asarray(record.y, np.float64)
+    start = jnp.asarray(first_output_state(filtered, np.zeros_like(y[:, 0]), np.asarray(record.u)[:, 0]))
+    size, outputs, params = y.std((0, 1)), y.shape[-1], filtered.params
+    own = own_of(params)
+
+    def error(log_factors: np.ndarray) -> float:
+        scaled = {name: own["filter"][name] * np.exp(log) for name, log in zip(_TUNED, log_factors, strict=True)}
+        numbers = {**own, "filter": {**own["filter"], **scaled}}
+        tried = params._replace(own=numbers) if isinstance(params, WithEffects) else numbers
+        found = np.asarray(simulated_states(filtered.step, tried, start, u)[..., :outputs], np.float64)
+        wrong = np.sqrt(np.mean((found - y) ** 2, (0, 1))) / size
+        return float(np.nan_to_num(wrong, nan=_LOST).clip(max=_LOST).mean())
+
+    bounds = [(-np.log(_FURTHEST), np.log(_FURTHEST))] * len(_TUNED)
+    members = _PER_FACTOR * len(_TUNED)
+    found = differential_evolution(
+        error, bounds, x0=np.zeros(len(_TUNED)), popsize=_PER_FACTOR, maxiter=max(most // members - 1, 0), tol=0,
+        polish=False, rng=np.random.default_rng(0), init="sobol",
+    )  # fmt: skip
+    return dict(zip(_TUNED, np.exp(found.x), strict=True))
+
+
+def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:
+    fastest = fastest_of(found)
+    samples = samples_of(found, fastest)
+    sequences, time, n = found.v.shape
+    error = _errors(physics, found)
+    moving = samples.moving.T.reshape(sequences, time, n)
+    least = _LEAST * found.torque.std((0, 1))
+    mean = found.reading.mean((0, 1))
+    sizes = [one.std((0, 1)) for one in (found.reading, found.v, found.a)]
+    by_lag = [_correlation(error, moving, k) for k in range(1, time // 2)]
+    slow_enough = next((k for k, value in enumerate(by_lag, 1) if np.mean(value) < np.exp(-1)), time // 2)
+    own = np.sqrt(np.mean(error**2, (0, 1), where=moving))
+    still = np.sqrt(np.mean(error**2, (0, 1), where=~moving))
+    shared = np.clip(by_lag[0] * np.exp(1 / slow_enough), 0, 1)  # of the variance; what decays reaches the lag 0
+    numbers = FilterNumbers(
+        mean=mean,
+        position=sizes[0],
+        speed=sizes[1],
+        acceleration=sizes[2],
+        moving=np.maximum(own * np.sqrt(shared), least),
+        resting=np.sqrt(np.maximum(np.nan_to_num(still) ** 2 - own**2, least**2)),
+        noise=np.maximum(own * np.sqrt(1 - shared), least),
+        slow=0.02 * fastest,
+        damping=1.0,
+        time=slow_enough * found.spacing,
+    )
+    return numbers._replace(damping=_damping(numbers, found))
+
+
+def _errors(physics: Physics, found: Motion) -> Float[np.ndarray, "seq time n"]:
+    known = extension_of(physics)
+    points = known.points if known else None
+    if points is None or getattr(points, "masses", None) is None:
+        raise ValueError(f"filter_form: physics: expected an arm with backend=jax, found {physics.name!r}")
+    columns = [jnp.asarray(one.reshape(-1, one.shape[-1]).T) for one in found[:4]]
+
+    @jax.jit
+    def errors(p: Any, reading: Any, v: Any, a: Any, u: Any) -> jax.Array:
+        return missing(points, p, required(points, p, physics.dt, reading, v, a), reading, v, u)
+
+    return np.asarray(errors(jax.tree.map(jnp.asarray, physics.params), *columns)).T.reshape(found.v.shape)
+
+
+def _correlation(error: np.ndarray, moving: np.ndarray, lag: int) -> Float[np.ndarray, " n"]:
+    """Of samples in both of which the joint moves, over the mean square of all in which it does."""
+    both = moving[:, :-lag] & moving[:, lag:]
+    products = np.sum(error[:, :-lag] * error[:, lag:], (0, 1), where=both)
+    squares = np.sum(error**2, (0, 1), where=moving)
+    return products / np.maximum(both.sum((0, 1)), 1) * moving.sum((0, 1)) / np.maximum(squares, 1e-300)
+
+
+def _damping(numbers: FilterNumbers, found: Motion) -> float:
+    swing = np.median(numbers.acceleration / numbers.speed)
+    lags = np.arange(1, min(round(np.pi / swing / found.spacing), found.v.shape[1] // 2))
+    squares = np.mean(found.v**2, (0, 1))
+    measured = np.array([np.mean(found.v[:, :-k] * found.v[:, k:], (0, 1)) / squares for k in lags])
+
+    def mismatch(log_damping: float) -> float:
+        tried = numbers._replace(damping=np.exp(log_damping))
+        kernel = np.asarray(motion(jax.tree.map(jnp.asarray, tried), found.spacing)[0], np.float64)
+        powers = np.stack([np.linalg.matrix_power(kernel, k) for k in lags])
+        return float(np.sum((powers[..., 1, 1] - measured) ** 2))
+
+    log = minimize_scalar(mismatch, bounds=np.log([0.01 * swing, 100 * swing]), method="bounded").x
+    return float(np.exp(float(log)))
