@@ -12,65 +12,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import differential_evolution, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from pgrssnn_jax.discovery.inverse.evidence import fastest_of, samples_of
+from pgrssnn_jax.discovery.inverse.filter_tuning import tuned_numbers
 from pgrssnn_jax.discovery.inverse.motion import Motion, motion_of
-from pgrssnn_jax.effects.base import WithEffects, own_of
 from pgrssnn_jax.physics.arms.missing import missing, required
 from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers, motion
 from pgrssnn_jax.physics.base import Physics, extension_of
-from pgrssnn_jax.physics.simulate import first_output_state, simulated_states
 from pgrssnn_jax.records.record import Record, map_signals
 
-_TUNED = ("position", "acceleration", "damping", "moving", "resting", "noise", "slow", "time")
-_FURTHEST = 8.0  # what a factor is at the most, and one over it at the least
-_PER_FACTOR = 4  # points of the search for each factor
-_LOST = 5.0  # standard deviations of a position: no error counts for more
 _LEAST = 1e-3  # of the motor torque's standard deviation: what every standard deviation of a torque is at the least
 
 
 def filter_form(physics: Physics, record: Record, *, tune: int = 0, **settings: Any) -> Physics:
     """The arm in the form of its filter (`physics/arms/filter.py`), its effects with it.
 
-    tune: free runs of the record that the search for factors may take, 0: none (600 took four minutes on 60 sequences
-    of 605 samples); settings: further ones of `arm`. Raises `ValueError` for a physics that is no arm in JAX, and for
-    positions that were not measured throughout.
+    tune: how many free runs of the record the search for better numbers may take, 0: none (1000 take eight minutes on
+    60 sequences of 605 samples); settings: further ones of `arm`. Raises `ValueError` for a physics that is no arm in
+    JAX, and for positions that were not measured throughout.
     """
     record = map_signals(record, lambda signal: signal.reshape(-1, *signal.shape[-2:]))  # all datasets
     at_rest = record.info.start == "rest"
     numbers = filter_numbers(physics, motion_of(record, physics.dt, at_rest=at_rest))
     given = {name: np.asarray(value) for name, value in numbers._asdict().items()}
     filtered = physics.variant(form="filter", filter_numbers=given, starts_at_rest=at_rest, **settings)
-    if not tune:
-        return filtered
-    factors = _factors(filtered, record, tune)
-    return filtered.variant(filter_numbers={name: value * factors.get(name, 1.0) for name, value in given.items()})
-
-
-def _factors(filtered: Physics, record: Record, most: int) -> dict[str, float]:
-    """By differential evolution (Storn and Price, 1997): the error has many local minima, because a joint that lost
-    its way stays lost."""
-    u, y = jnp.asarray(record.u, jnp.float32), np.asarray(record.y, np.float64)
-    start = jnp.asarray(first_output_state(filtered, np.zeros_like(y[:, 0]), np.asarray(record.u)[:, 0]))
-    size, outputs, params = y.std((0, 1)), y.shape[-1], filtered.params
-    own = own_of(params)
-
-    def error(log_factors: np.ndarray) -> float:
-        scaled = {name: own["filter"][name] * np.exp(log) for name, log in zip(_TUNED, log_factors, strict=True)}
-        numbers = {**own, "filter": {**own["filter"], **scaled}}
-        tried = params._replace(own=numbers) if isinstance(params, WithEffects) else numbers
-        found = np.asarray(simulated_states(filtered.step, tried, start, u)[..., :outputs], np.float64)
-        wrong = np.sqrt(np.mean((found - y) ** 2, (0, 1))) / size
-        return float(np.nan_to_num(wrong, nan=_LOST).clip(max=_LOST).mean())
-
-    bounds = [(-np.log(_FURTHEST), np.log(_FURTHEST))] * len(_TUNED)
-    members = _PER_FACTOR * len(_TUNED)
-    found = differential_evolution(
-        error, bounds, x0=np.zeros(len(_TUNED)), popsize=_PER_FACTOR, maxiter=max(most // members - 1, 0), tol=0,
-        polish=False, rng=np.random.default_rng(0), init="sobol",
-    )  # fmt: skip
-    return dict(zip(_TUNED, np.exp(found.x), strict=True))
+    return filtered.variant(filter_numbers=tuned_numbers(filtered, record, tune)) if tune else filtered
 
 
 def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:

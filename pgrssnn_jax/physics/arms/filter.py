@@ -11,8 +11,8 @@ variance is noise,
     E τ = Φ τ(q̇₊) + (1 - Φ) τ(q̇₋)        Φ = P(q̇ > 0),  q̇± = E(q̇ | q̇ ≷ 0)
 
 which is exact for Coulomb and for viscous friction. A joint at rest is held by its friction or a brake against any
-torque within their reach, so that d is larger there. x = [q, q̇ | q̈, d, the lower triangle of cov z less that of the
-start]; the second part is for the filter alone. Limits of velocities and stops do not act.
+torque within their reach, so that d is larger there. x = [q, q̇, q̈, d, the lower triangle of cov z less that of the
+start]; networks neither see nor correct the covariance. Limits of velocities and stops do not act.
 Source: Särkkä, Bayesian Filtering and Smoothing, 2013, sections 5.1 and 5.2 (extended Kalman filter, iterated once).
 """
 
@@ -40,8 +40,8 @@ def filter_states(n: int) -> tuple[Signal, ...]:
     """What the filter has besides [q, q̇]."""
     joints = range(1, n + 1)
     return (
-        *(Signal(f"acceleration_{i}", "rad/s²", inner=True) for i in joints),
-        *(Signal(f"disturbance_{i}", "Nm", inner=True) for i in joints),
+        *(Signal(f"acceleration_{i}", "rad/s²") for i in joints),
+        *(Signal(f"disturbance_{i}", "Nm") for i in joints),
         *(Signal(f"covariance_{i}_{k}", inner=True) for i in range(1, 4 * n + 1) for k in range(1, i + 1)),
     )
 

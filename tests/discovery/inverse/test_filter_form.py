@@ -50,6 +50,7 @@ def test_torques_alone_say_where_an_arm_is():
     assert found.mean() < 0.7 * errors(arm(limits=False), test).mean()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_effects_come_along():
     """A bias that the filter knows costs it nothing; one that it does not know does."""
@@ -66,3 +67,11 @@ def test_what_is_no_arm_is_refused():
     filtered = filter_form(arm(), train)
     with pytest.raises(ValueError, match=r"physics.form: expected forward in a discovery, found filter"):
         pg.discover(filtered, train, log(2, sequences=1), quiet=True)
+
+
+@pytest.mark.slow
+def test_tuning_follows_the_record_better_and_a_later_one_too():
+    train, test = log(1, sequences=6), log(2, sequences=4)
+    plain, tuned = filter_form(arm(), train), filter_form(arm(), train, tune=150)
+    assert errors(tuned, train).mean() < 0.9 * errors(plain, train).mean()
+    assert errors(tuned, test).mean() < errors(plain, test).mean()
