@@ -25,7 +25,7 @@ CATALOGUE = Catalogue(
         "gravity_direction": "base",
         "home_offset": "sensor",
     },
-    noises=(0.005, 0.01, 0.02),
+    noises=(1e-4, 1e-3, 1e-2),  # rad, as encoders have it
     identical={
         "torque_bias": ("input_offset",),
         "torque_gain": ("input_gain",),
