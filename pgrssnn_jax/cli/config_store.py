@@ -2,12 +2,14 @@
 
     model/*  fit/published  members/auto  run/*  discovery/standard  data/*  physics/{tanks,lgssm,arm}  recipe/*
 
-A value that depends on whether the physics comes from a discovery is written `${after_discovery:WITH,WITHOUT}`.
+A value that depends on whether the physics comes from a discovery is written `${after_discovery:WITH,WITHOUT}`,
+and `${conf:FILE}` is the path of a file in conf/.
 """
 
 import inspect
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
@@ -21,6 +23,7 @@ from pgrssnn_jax.models.spec import VARIANTS, ModelSpec
 from pgrssnn_jax.training.recipes import DEFAULT, PROOF, RECIPES, Recipe
 from pgrssnn_jax.training.settings import GROUP_OF, GROUPS, DataSettings, FitSettings, MemberSettings, RunSettings
 
+_CONF = Path(__file__).parents[2] / "conf"
 _PHYSICS = {"tanks": "cascaded_tanks", "lgssm": "lgssm", "arm": "arm"}
 #: benchmarks whose test record starts where the training record does
 _SHARED = ("cascaded_tank",)
@@ -29,6 +32,7 @@ _SHARED = ("cascaded_tank",)
 def register() -> None:
     """Must run before a configuration is composed; a second call changes nothing."""
     OmegaConf.register_new_resolver("after_discovery", _chosen, replace=True)
+    OmegaConf.register_new_resolver("conf", lambda path: str(_CONF / path), replace=True)
     store = ConfigStore.instance()
     # Hydra copies this singleton for every group that --help lists, which takes longer than all else
     ConfigStore.__deepcopy__ = lambda self, _: self  # pyright: ignore[reportAttributeAccessIssue]

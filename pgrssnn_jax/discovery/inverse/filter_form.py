@@ -28,16 +28,23 @@ _LEAST = 1e-3  # of the motor torque's standard deviation: what every standard d
 def filter_form(physics: Physics, record: Record, *, tune: int = 0, **settings: Any) -> Physics:
     """The arm in the form of its filter (`physics/arms/filter.py`), its effects with it.
 
-    tune: how many free runs of the record the search for better numbers may take, 0: none (1000 take eight minutes on
+    tune: how many free runs of the record the search for better numbers may take, 0: none (500 take four minutes on
     60 sequences of 605 samples); settings: further ones of `arm`. Raises `ValueError` for a physics that is no arm in
     JAX, and for positions that were not measured throughout.
     """
-    record = map_signals(record, lambda signal: signal.reshape(-1, *signal.shape[-2:]))  # all datasets
+    record = _flat(record)
+    if record.validation is not None:
+        record = record._replace(validation=_flat(record.validation))
     at_rest = record.info.start == "rest"
     numbers = filter_numbers(physics, motion_of(record, physics.dt, at_rest=at_rest))
     given = {name: np.asarray(value) for name, value in numbers._asdict().items()}
     filtered = physics.variant(form="filter", filter_numbers=given, starts_at_rest=at_rest, **settings)
     return filtered.variant(filter_numbers=tuned_numbers(filtered, record, tune)) if tune else filtered
+
+
+def _flat(record: Record) -> Record:
+    """The sequences of all datasets as one."""
+    return map_signals(record, lambda signal: signal.reshape(-1, *signal.shape[-2:]))
 
 
 def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:

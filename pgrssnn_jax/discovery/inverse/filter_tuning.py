@@ -3,7 +3,8 @@
     argmin mean_j RMS(q_j - q̂_j) / std(q_j)
 
 The numbers are multiplied by factors: first by the same for all joints, by differential evolution, because the error
-has many local minima (a joint that lost its way stays lost); then by those of single joints, one after another.
+has many local minima (a joint that lost its way stays lost); then by those of single joints, one after another, for as
+long as the error on the validation record falls.
 Source: Storn and Price, Differential Evolution, J. Global Optimization, 1997.
 """
 
@@ -33,7 +34,8 @@ Error = Callable[[Numbers], float]
 def tuned_numbers(filtered: Physics, record: Record, most: int) -> Numbers:
     """The filter's numbers after at most about `most` free runs of the record."""
     error, numbers = _free_run_error(filtered, record), own_of(filtered.params)["filter"]
-    return _joint_by_joint(error, _together(error, numbers, int(_SHARE * most)), int((1 - _SHARE) * most))
+    judged = error if record.validation is None else _free_run_error(filtered, record.validation)
+    return _joint_by_joint(error, judged, _together(error, numbers, int(_SHARE * most)), int((1 - _SHARE) * most))
 
 
 def _free_run_error(filtered: Physics, record: Record) -> Error:
@@ -65,12 +67,11 @@ def _together(error: Error, numbers: Mapping[str, Any], most: int) -> Numbers:
     return scaled(found.x)
 
 
-def _joint_by_joint(error: Error, numbers: Numbers, most: int) -> Numbers:
+def _joint_by_joint(error: Error, judged: Error, numbers: Numbers, most: int) -> Numbers:
     """Along one number after another, with steps that grow where they help and halve where they do not."""
     places: list[tuple[str, Any]] = [(name, j) for name in _OF_JOINTS for j in range(len(numbers["mean"]))]
-    places += [(name, ()) for name in _OF_ALL]
-    steps = dict.fromkeys(places, _FIRST)
-    best, left = error(numbers), most
+    steps = dict.fromkeys(places + [(name, ()) for name in _OF_ALL], _FIRST)
+    best, left, kept, lowest = error(numbers), most, numbers, judged(numbers)
     while left > 0 and max(map(abs, steps.values())) > _FINEST:
         for (name, place), step in steps.items():
             for log in (step, -step):
@@ -83,4 +84,7 @@ def _joint_by_joint(error: Error, numbers: Numbers, most: int) -> Numbers:
                     break
             else:
                 steps[name, place] = step / 2
-    return numbers
+        if (now := judged(numbers)) >= lowest:
+            break
+        kept, lowest = numbers, now
+    return kept
