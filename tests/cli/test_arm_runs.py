@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import QUICK, called, composed, config_names, planned, trained
+from commands import QUICK, ROOT, called, composed, config_names, planned, trained
 
 from pgrssnn_jax.data.arm_simulator import simulated_arm
 from pgrssnn_jax.physics.arms.tables import described
@@ -192,3 +192,19 @@ def test_the_published_networks_of_the_arm():
         config = composed(f"+experiment={experiment}")
         assert (config["model"]["hidden"], config["model"]["gru_layers"]) == (64, 3)
         assert config["fit"]["epochs"] <= 200
+
+
+@pytest.mark.slow
+def test_a_filter_takes_the_numbers_of_a_file_or_those_of_the_record(tmp_path):
+    small = [*SMALL, "data.n_samples=80", *TINY]
+    ways = {"stored": ["+experiment=robot_real_filter"], "record": ["+experiment=robot_real", "physics.form=filter"]}
+    numbers = {}
+    for name, way in ways.items():
+        run = trained(tmp_path / name, *way, *small)
+        assert metrics_of(run)["summary"]["failed"] == 0
+        saved = json.loads((run.path / "physics.json").read_text())
+        assert saved["physics"]["form"] == "filter"
+        numbers[name] = saved["physics"]["filter_numbers"]
+    shipped = json.loads((ROOT / "conf/physics/robot_real_filter.json").read_text())
+    assert numbers["stored"] == shipped["physics"]["filter_numbers"]
+    assert numbers["record"]["position"] != numbers["stored"]["position"]

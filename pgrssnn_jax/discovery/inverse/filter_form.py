@@ -58,17 +58,16 @@ def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:
     sizes = [one.std((0, 1)) for one in (found.reading, found.v, found.a)]
     by_lag = [_correlation(error, moving, k) for k in range(1, time // 2)]
     slow_enough = next((k for k, value in enumerate(by_lag, 1) if np.mean(value) < np.exp(-1)), time // 2)
-    own = np.sqrt(np.mean(error**2, (0, 1), where=moving))
-    still = np.sqrt(np.mean(error**2, (0, 1), where=~moving))
+    own, still = (_mean_square(error, where) for where in (moving, ~moving))
     shared = np.clip(by_lag[0] * np.exp(1 / slow_enough), 0, 1)  # of the variance; what decays reaches the lag 0
     numbers = FilterNumbers(
         mean=mean,
         position=sizes[0],
         speed=sizes[1],
         acceleration=sizes[2],
-        moving=np.maximum(own * np.sqrt(shared), least),
-        resting=np.sqrt(np.maximum(np.nan_to_num(still) ** 2 - own**2, least**2)),
-        noise=np.maximum(own * np.sqrt(1 - shared), least),
+        moving=np.maximum(np.sqrt(own * shared), least),
+        resting=np.sqrt(np.maximum(still - own, least**2)),
+        noise=np.maximum(np.sqrt(own * (1 - shared)), least),
         slow=0.02 * fastest,
         damping=1.0,
         time=slow_enough * found.spacing,
@@ -88,6 +87,11 @@ def _errors(physics: Physics, found: Motion) -> Float[np.ndarray, "seq time n"]:
         return missing(points, p, required(points, p, physics.dt, reading, v, a), reading, v, u)
 
     return np.asarray(errors(jax.tree.map(jnp.asarray, physics.params), *columns)).T.reshape(found.v.shape)
+
+
+def _mean_square(error: np.ndarray, where: np.ndarray) -> Float[np.ndarray, " n"]:
+    """0 for a joint that has no such sample."""
+    return np.sum(error**2, (0, 1), where=where) / np.maximum(where.sum((0, 1)), 1)
 
 
 def _correlation(error: np.ndarray, moving: np.ndarray, lag: int) -> Float[np.ndarray, " n"]:
