@@ -48,27 +48,26 @@ def _flat(record: Record) -> Record:
 
 
 def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:
-    fastest = fastest_of(found)
-    samples = samples_of(found, fastest)
+    """Before any tuning."""
+    samples = samples_of(found, fastest_of(found))
     sequences, time, n = found.v.shape
     error = _errors(physics, found)
     moving = samples.moving.T.reshape(sequences, time, n)
     least = _LEAST * found.torque.std((0, 1))
-    mean = found.reading.mean((0, 1))
     sizes = [one.std((0, 1)) for one in (found.reading, found.v, found.a)]
     by_lag = [_correlation(error, moving, k) for k in range(1, time // 2)]
     slow_enough = next((k for k, value in enumerate(by_lag, 1) if np.mean(value) < np.exp(-1)), time // 2)
     own, still = (_mean_square(error, where) for where in (moving, ~moving))
     shared = np.clip(by_lag[0] * np.exp(1 / slow_enough), 0, 1)  # of the variance; what decays reaches the lag 0
     numbers = FilterNumbers(
-        mean=mean,
+        mean=found.reading.mean((0, 1)),
         position=sizes[0],
         speed=sizes[1],
         acceleration=sizes[2],
         moving=np.maximum(np.sqrt(own * shared), least),
         resting=np.sqrt(np.maximum(still - own, least**2)),
         noise=np.maximum(np.sqrt(own * (1 - shared)), least),
-        slow=0.02 * fastest,
+        slow=samples.slow,
         damping=1.0,
         time=slow_enough * found.spacing,
     )

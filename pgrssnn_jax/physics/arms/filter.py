@@ -5,8 +5,8 @@
     u = D⁻¹ (M q̈ + h - τ(q, q̇)) + d + v           v ~ N(0, R(z)), motor torque, Nm (`missing.py`)
 
 Torques integrated forward twice drift; here they correct a motion that returns to its mean, and nothing measured but
-u_{1:t} is fed in. Friction jumps where a joint turns round: what enters is its mean over the direction, and its
-variance is noise,
+u_{1:t} is fed in. u_t is that of the motion before it, which it corrects; x_t is then the prediction dt later. Friction
+jumps where a joint turns round: what enters is its mean over the direction, and its variance is noise,
 
     E τ = Φ τ(q̇₊) + (1 - Φ) τ(q̇₋)        Φ = P(q̇ > 0),  q̇± = E(q̇ | q̇ ≷ 0)
 
