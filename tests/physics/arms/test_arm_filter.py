@@ -11,7 +11,7 @@ import pgrssnn_jax as pg
 from pgrssnn_jax.physics.arms.filter import linearised
 from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers, motion, starting
 from pgrssnn_jax.physics.base import extension_of
-from pgrssnn_jax.physics.simulate import free_run
+from pgrssnn_jax.physics.simulate import free_run, simulated_states
 
 pytestmark = pytest.mark.usefixtures("x64")
 DT = 0.05
@@ -122,3 +122,20 @@ def test_what_a_filter_needs_is_said(tmp_path):
         pg.physics.arm(urdf=file, form="filter", filter_numbers={**NUMBERS, "speed": 0.0})
     with pytest.raises(ValueError, match=r"physics.backend: expected jax"):
         pg.physics.arm(urdf=file, form="filter", filter_numbers=NUMBERS, backend="pinocchio")
+
+
+@pytest.mark.parametrize("name", ["moving", "noise", "damping", "time", "mean", "slow"])
+def test_the_numbers_can_be_trained(tmp_path, name):
+    """Through friction, whose jump the filter has smoothed."""
+    _, filtered = pendulum(tmp_path, viscous_friction=0.03, coulomb_friction=0.1)
+    u = jnp.asarray(np.cumsum(np.random.default_rng(0).normal(size=(1, 15, 1)), 1) * 0.2)
+    start = jnp.zeros((1, len(filtered.states)))
+
+    def loss(value):
+        params = {**filtered.params, "filter": {**filtered.params["filter"], name: value}}
+        return jnp.sum(simulated_states(filtered.step, params, start, u)[..., 0] ** 2)
+
+    at = jnp.asarray(filtered.params["filter"][name])
+    step = 1e-5 * max(1e-2, float(jnp.abs(at).max()))
+    by_hand = (loss(at + step) - loss(at - step)) / (2 * step)
+    assert float(jnp.sum(jax.grad(loss)(at))) == pytest.approx(float(by_hand), rel=1e-3, abs=1e-7)
