@@ -29,11 +29,8 @@ def physics(*, inner):
     )
 
 
-@pytest.mark.parametrize("name", ["PG-RSSNN", "PG-RSSNN(fb)"])
-@pytest.mark.parametrize("route", ["fused", "split"])
+@pytest.mark.parametrize(("name", "route"), [("PG-RSSNN", "fused"), ("PG-RSSNN", "split"), ("PG-RSSNN(fb)", "fused")])
 def test_networks_neither_see_nor_correct_an_inner_state(key, name, route):
-    if route == "split" and name == "PG-RSSNN(fb)":
-        pytest.skip("a model with feedback has one route")
     draw = np.random.default_rng(0)
     train = record(draw.normal(size=(2, 30, 1)), draw.normal(size=(2, 30, 1)), INFO)
     model = build_model(spec(name), physics(inner=True))

@@ -72,15 +72,14 @@ def changed_friction(
     away, known = np.abs(fit.theta[own] - problem.theta[own]), _FRICTION * np.abs(problem.theta[own])
     gone = own[(away > 1.96 * known) & (away > _CERTAIN * std[own])]
     gone = gone[[search.worth(_gain_of(search, final, int(place))) for place in gone]]
-    paths = {
-        name: ((symbol,), (name, symbol)) for name, symbol in names.items()
-    }  # of the physics, of an earlier finding
+    # a parameter of the physics, or of an effect that an earlier discovery has found
+    paths = {name: ((symbol,), (name, symbol)) for name, symbol in names.items()}
     found = {name: gone[[problem.slots[i].path in known for i in gone]] for name, known in paths.items()}
     return {name: places for name, places in found.items() if len(places)}
 
 
 def _gain_of(search: Search, final: Model, place: int) -> Gain:
-    """Of an own number over what it was given as; the others are refitted."""
+    """Gain from a fitted parameter of the physics over its given value; all other parameters are refitted."""
     theta = final.fit.theta.copy()
     theta[place] = search.problem.theta[place]
     others = search._replace(own=search.own[search.own != place])
