@@ -95,7 +95,6 @@ def test_nothing_is_named_where_nothing_is_hidden(crane):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="gravity and torques stand in for nine tenths of an offset, and corrections are of one joint")
 def test_what_the_catalogue_lacks_is_unknown(crane):
     data = motions(crane[0], NEUTRAL._replace(home=np.array([0.08, -0.05])))
     found = found_in(crane, *data, without=["home_offset", "sensor_offset"])

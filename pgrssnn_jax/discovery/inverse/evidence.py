@@ -1,6 +1,6 @@
 """The evidence of inverse dynamics: by how much the torque that a model asks for misses the one that was measured.
 
-    e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        motor torque, Nm; zero where the model is right (`arms/missing.py`)
+    e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        motor torque, Nm; zero where the model is right (`arms/residual.py`)
 
 q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
 Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any
@@ -20,8 +20,8 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.base import Effect, points_changed
-from pgrssnn_jax.physics.arms.missing import missing, required
 from pgrssnn_jax.physics.arms.points import ArmPoints
+from pgrssnn_jax.physics.arms.residual import required_torque, torque_residual
 from pgrssnn_jax.physics.base import Physics, extension_of
 
 _STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slower, it stands still
@@ -111,7 +111,7 @@ def torques(problem: Problem) -> Torques:
 
     def errors(theta: jax.Array, reading: jax.Array, v: jax.Array, a: jax.Array, u: jax.Array) -> jax.Array:
         p = problem.code.unravel(theta)
-        return missing(points, p, required(points, p, dt, reading, v, a), reading, v, u)
+        return torque_residual(points, p, required_torque(points, p, dt, reading, v, a), reading, v, u)
 
     def along_each(function: Callable[..., jax.Array], theta: jax.Array, along: jax.Array) -> jax.Array:
         return jax.vmap(lambda one: jax.jvp(function, (theta,), (one,))[1])(along)
@@ -120,10 +120,12 @@ def torques(problem: Problem) -> Torques:
         return along_each(lambda numbers: errors(numbers, *samples), theta, along)
 
     def light(theta: jax.Array, along: jax.Array, reading: Any, v: Any, a: Any, u: Any) -> jax.Array:
-        needed = required(points, problem.code.unravel(theta), dt, reading, v, a)
-        return along_each(
-            lambda numbers: missing(points, problem.code.unravel(numbers), needed, reading, v, u), theta, along
-        )
+        required = required_torque(points, problem.code.unravel(theta), dt, reading, v, a)
+
+        def residual(numbers: jax.Array) -> jax.Array:
+            return torque_residual(points, problem.code.unravel(numbers), required, reading, v, u)
+
+        return along_each(residual, theta, along)
 
     moves = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & _HEAVY]
     places = [problem.of(name) for name in moves]

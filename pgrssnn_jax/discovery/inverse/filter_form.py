@@ -6,39 +6,40 @@ c                     argmin Σ_k (ρ(k dt; c) - ρ_k)²        ρ: autocorrelat
 σ_v                   of the part of the residual that one sample does not share with the next
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from pgrssnn_jax.discovery.inverse.evidence import fastest_of, samples_of
+from pgrssnn_jax.discovery.inverse.evidence import fastest_of, samples_of, torques
 from pgrssnn_jax.discovery.inverse.filter_tuning import tuned_numbers
 from pgrssnn_jax.discovery.inverse.motion import Motion, motion_of
-from pgrssnn_jax.physics.arms.missing import missing, required
+from pgrssnn_jax.discovery.problem import build_problem
+from pgrssnn_jax.effects.arm_common import an_arm
 from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers, motion
-from pgrssnn_jax.physics.base import Physics, extension_of
+from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Record, map_signals
 
 _LEAST = 1e-3  # of the motor torque's standard deviation: what every standard deviation of a torque is at the least
 
 
-def filter_form(physics: Physics, record: Record, *, tune: int = 0, **settings: Any) -> Physics:
+def filter_form(physics: Physics, record: Record, *, tune: int = 0) -> Physics:
     """The arm in the form of its filter (`physics/arms/filter.py`), its effects with it.
 
     tune: how many free runs of the record the search for better numbers may take, 0: none (500 take four minutes on
-    60 sequences of 605 samples); settings: further ones of `arm`. Raises `ValueError` for a physics that is no arm in
-    JAX, and for positions that were not measured throughout.
+    60 sequences of 605 samples). Raises `ValueError` for a physics that is no arm in JAX, and for positions that were
+    not measured throughout.
     """
+    if not an_arm(masses=True).met(physics):
+        raise ValueError(f"filter_form: physics: expected an arm with backend=jax, found {physics.name!r}")
     record = _flat(record)
     if record.validation is not None:
         record = record._replace(validation=_flat(record.validation))
     at_rest = record.info.start == "rest"
     numbers = filter_numbers(physics, motion_of(record, physics.dt, at_rest=at_rest))
     given = {name: np.asarray(value) for name, value in numbers._asdict().items()}
-    filtered = physics.variant(form="filter", filter_numbers=given, starts_at_rest=at_rest, **settings)
+    filtered = physics.variant(form="filter", filter_numbers=given, starts_at_rest=at_rest)
     return filtered.variant(filter_numbers=tuned_numbers(filtered, record, tune)) if tune else filtered
 
 
@@ -51,7 +52,8 @@ def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:
     """Before any tuning."""
     samples = samples_of(found, fastest_of(found))
     sequences, time, n = found.v.shape
-    error = _errors(physics, found)
+    problem = build_problem(physics, ())
+    error = torques(problem).errors(problem.theta, samples).T.reshape(sequences, time, n)
     moving = samples.moving.T.reshape(sequences, time, n)
     least = _LEAST * found.torque.std((0, 1))
     sizes = [one.std((0, 1)) for one in (found.reading, found.v, found.a)]
@@ -72,20 +74,6 @@ def filter_numbers(physics: Physics, found: Motion) -> FilterNumbers:
         time=slow_enough * found.spacing,
     )
     return numbers._replace(damping=_damping(numbers, found))
-
-
-def _errors(physics: Physics, found: Motion) -> Float[np.ndarray, "seq time n"]:
-    known = extension_of(physics)
-    points = known.points if known else None
-    if points is None or getattr(points, "masses", None) is None:
-        raise ValueError(f"filter_form: physics: expected an arm with backend=jax, found {physics.name!r}")
-    columns = [jnp.asarray(one.reshape(-1, one.shape[-1]).T) for one in found[:4]]
-
-    @jax.jit
-    def errors(p: Any, reading: Any, v: Any, a: Any, u: Any) -> jax.Array:
-        return missing(points, p, required(points, p, physics.dt, reading, v, a), reading, v, u)
-
-    return np.asarray(errors(jax.tree.map(jnp.asarray, physics.params), *columns)).T.reshape(found.v.shape)
 
 
 def _mean_square(error: np.ndarray, where: np.ndarray) -> Float[np.ndarray, " n"]:

@@ -16,12 +16,12 @@ import numpy as np
 from scipy.optimize import differential_evolution
 
 from pgrssnn_jax.effects.base import WithEffects, own_of
+from pgrssnn_jax.physics.arms.motion_prior import OF_ALL_JOINTS
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.simulate import first_output_state, simulated_states
 from pgrssnn_jax.records.record import Record
 
 _OF_JOINTS = ("position", "acceleration", "moving", "resting", "noise", "slow")
-_OF_ALL = ("damping", "time")
 _FURTHEST = 8.0  # what a common factor is at the most, and one over it at the least
 _PER_FACTOR = 4  # points of the evolution for each factor
 _SHARE = 0.4  # of the free runs that the evolution takes
@@ -54,7 +54,7 @@ def _free_run_error(filtered: Physics, record: Record) -> Error:
 
 
 def _together(error: Error, numbers: Mapping[str, Any], most: int) -> Numbers:
-    names = (*_OF_JOINTS, *_OF_ALL)
+    names = (*_OF_JOINTS, *OF_ALL_JOINTS)
 
     def scaled(logs: np.ndarray) -> Numbers:
         return {**numbers, **{name: numbers[name] * np.exp(log) for name, log in zip(names, logs, strict=True)}}
@@ -70,7 +70,7 @@ def _together(error: Error, numbers: Mapping[str, Any], most: int) -> Numbers:
 def _joint_by_joint(error: Error, judged: Error, numbers: Numbers, most: int) -> Numbers:
     """Along one number after another, with steps that grow where they help and halve where they do not."""
     places: list[tuple[str, Any]] = [(name, j) for name in _OF_JOINTS for j in range(len(numbers["mean"]))]
-    steps = dict.fromkeys(places + [(name, ()) for name in _OF_ALL], _FIRST)
+    steps = dict.fromkeys(places + [(name, ()) for name in OF_ALL_JOINTS], _FIRST)
     best, left, kept, lowest = error(numbers), most, numbers, judged(numbers)
     while left > 0 and max(map(abs, steps.values())) > _FINEST:
         for (name, place), step in steps.items():

@@ -24,7 +24,7 @@ from pgrssnn_jax.physics.arms.chain import Extra
 from pgrssnn_jax.physics.arms.filter import filter_states, filter_step
 from pgrssnn_jax.physics.arms.jax_dynamics import Derivatives, ForwardDynamics
 from pgrssnn_jax.physics.arms.kinematics import skeleton
-from pgrssnn_jax.physics.arms.motion_prior import MEANINGS, FilterNumbers
+from pgrssnn_jax.physics.arms.motion_prior import MEANINGS, OF_ALL_JOINTS, FilterNumbers
 from pgrssnn_jax.physics.arms.points import ArmPoints, own_points
 from pgrssnn_jax.physics.arms.tables import ArmTables, described, without_inertia
 from pgrssnn_jax.physics.arms.urdf import read_urdf
@@ -134,9 +134,8 @@ def arm(
 
     def assemble(points: ArmPoints) -> tuple[Step, Measure]:
         if form == "filter":
-            return _held(
-                filter_step(points, dt, at_rest=starts_at_rest, limits=limits), physics_gradient
-            ), points.measure
+            filtered = filter_step(points, dt, at_rest=starts_at_rest, limits=limits)
+            return _held(filtered, stopped=physics_gradient == "stopped"), points.measure
 
         def derivative(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
             """d[q, q̇]/dt."""
@@ -188,19 +187,24 @@ def _filter_numbers(given: Mapping[str, PerJoint] | None, tables: ArmTables) -> 
     found = given or {}
     if set(found) != set(expected):
         raise ValueError(f"physics.filter_numbers: expected {', '.join(expected)}, found {', '.join(found) or 'none'}")
-    single = {"damping", "time"}
-    return {
-        name: _numbers(value) if name in single else per_joint(f"filter_numbers.{name}", value, tables)
-        for name, value in found.items()
-    }
+    for name in OF_ALL_JOINTS:
+        if _numbers(found[name]).size != 1:
+            raise ValueError(f"physics.filter_numbers.{name}: expected one number, found {found[name]}")
+    numbers = {name: per_joint(f"filter_numbers.{name}", value, tables) for name, value in found.items()}
+    numbers |= {name: numbers[name][0] for name in OF_ALL_JOINTS}
+    fast = numbers["speed"] ** 2 < numbers["position"] * numbers["acceleration"]
+    if not fast.all():
+        name = tables.joints[int(np.argmin(fast))]
+        raise ValueError(f"physics.filter_numbers: expected speed² below position x acceleration, found more at {name}")
+    return numbers
 
 
-def _held(step: Step, physics_gradient: str) -> Step:
+def _held(step: Step, *, stopped: bool) -> Step:
     """A step in the precision of the state, through which gradients pass or not."""
 
     def held(p: Any, x: Float[jax.Array, " x"], u: Float[jax.Array, " u"]) -> Float[jax.Array, " x"]:
         known = (jax.tree.map(lambda number: jnp.asarray(number, x.dtype), p), x, u)
-        return step(*(jax.lax.stop_gradient(known) if physics_gradient == "stopped" else known))
+        return step(*(jax.lax.stop_gradient(known) if stopped else known))
 
     return held
 

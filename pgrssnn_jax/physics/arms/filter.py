@@ -1,8 +1,8 @@
-"""An arm that is told where it is by its torques: a Kalman filter of the motion, to which a torque is a measurement.
+"""Positions of an arm from its motor torques alone: an extended Kalman filter that takes a torque as a measurement.
 
     z = [q, q̇, q̈, d]      each joint's motion a stationary Gaussian process of order three, d a slow torque that the
                            model does not know:    z_t = F z_{t-1} + w,    w ~ N(0, Q(z))
-    u = D⁻¹ (M q̈ + h - τ(q, q̇)) + d + v           v ~ N(0, R(z)), motor torque, Nm (`missing.py`)
+    u = D⁻¹ (M q̈ + h - τ(q, q̇)) + d + v           v ~ N(0, R(z)), motor torque, Nm (`residual.py`)
 
 Torques integrated forward twice drift; here they correct a motion that returns to its mean, and nothing measured but
 u_{1:t} is fed in. u_t is that of the motion before it, which it corrects; x_t is then the prediction dt later. Friction
@@ -13,7 +13,7 @@ jumps where a joint turns round: what enters is its mean over the direction, and
 which is exact for Coulomb and for viscous friction. A joint at rest is held by its friction or a brake against any
 torque within their reach, so that d is larger there. x = [q, q̇, q̈, d, the lower triangle of cov z less that of the
 start]; networks neither see nor correct the covariance. Limits of velocities and stops do not act.
-Source: Särkkä, Bayesian Filtering and Smoothing, 2013, sections 5.1 and 5.2 (extended Kalman filter, iterated once).
+Source: Särkkä, Bayesian Filtering and Smoothing, 2013, chapter 5.
 """
 
 from typing import Any
@@ -25,9 +25,9 @@ from jax.scipy.special import log_ndtr
 from jax.scipy.stats import norm
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.arms.missing import required
 from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers, disturbance, motion, starting
 from pgrssnn_jax.physics.arms.points import ArmPoints
+from pgrssnn_jax.physics.arms.residual import drive_slope, required_torque
 from pgrssnn_jax.physics.base import Signal, Step
 
 Joints = Float[jax.Array, " n"]
@@ -84,8 +84,8 @@ def _updated(
 def linearised(
     points: ArmPoints, p: Any, dt: float, motion: jax.Array, spread: Joints, u: Joints
 ) -> tuple[Joints, Float[jax.Array, "n m"], Joints]:
-    """e of a motion [q, q̇, q̈] whose speeds have standard deviations, its derivative by the motion, and the variance
-    that friction of an unknown direction adds to what this line says."""
+    """Mean torque residual of a motion [q, q̇, q̈], its derivative by the motion, and the variance that friction of an
+    unknown direction adds; spread: standard deviation of the speeds, rad/s."""
     drive = points.drive(p, u)
 
     def both(v: Joints, reading: Joints) -> tuple[Joints, Joints, Joints]:
@@ -102,18 +102,18 @@ def linearised(
         share, ahead, back = both(v, reading)
         return share * ahead + (1 - share) * back
 
-    def wrong(motion: jax.Array) -> tuple[Joints, Joints]:
+    def residual(motion: jax.Array) -> tuple[Joints, Joints]:
         reading, v, a = jnp.split(motion, 3)
-        needed = required(points, p, dt, reading[:, None], v[:, None], a[:, None])[:, 0]
-        found = mean(v, reading) - needed
+        required = required_torque(points, p, dt, reading[:, None], v[:, None], a[:, None])[:, 0]
+        found = mean(v, reading) - required
         return found, found
 
-    slope, error = jax.jacfwd(wrong, has_aux=True)(motion)
+    slope, error = jax.jacfwd(residual, has_aux=True)(motion)
     reading, v, _ = jnp.split(motion, 3)
     share, ahead, back = both(v, reading)
     by_speed = jax.jvp(lambda v: mean(v, reading), (v,), (jnp.ones_like(v),))[1]
     unsure = share * (1 - share) * (ahead - back) ** 2 - (by_speed * spread) ** 2
-    by_motor = jax.jacfwd(lambda torque: points.drive(p, torque))(jnp.zeros_like(u))
+    by_motor = drive_slope(points, p, u)
     inverted = jnp.linalg.inv(by_motor)
     return inverted @ error, inverted @ slope, jnp.maximum(unsure, 0) / jnp.diag(by_motor) ** 2
 

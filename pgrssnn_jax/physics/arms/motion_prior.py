@@ -17,7 +17,8 @@ from pgrssnn_jax.physics.base import Parameter
 
 Joints = Float[jax.Array, " n"]
 PerJoint = Float[jax.Array, "n 3 3"]
-_TERMS = 10  # of the series of an exponential, 1e-7 for a norm of 1
+OF_ALL_JOINTS = ("damping", "time")  # the others are per joint
+_TERMS, _HALVINGS = 10, 4  # of an exponential: errors below 1e-7 where the norm of A dt is at most 16
 _NODES, _WEIGHTS = (part.tolist() for part in np.polynomial.legendre.leggauss(4))
 
 
@@ -64,8 +65,10 @@ def motion(numbers: FilterNumbers, dt: float) -> tuple[PerJoint, PerJoint]:
     def over(time: float) -> jax.Array:
         term = total = jnp.broadcast_to(jnp.eye(3, dtype=last.dtype), a.shape)
         for k in range(1, _TERMS + 1):
-            term = a @ term * (time / k)
+            term = a @ term * (time / 2**_HALVINGS / k)
             total = total + term
+        for _ in range(_HALVINGS):
+            total = total @ total
         return total
 
     added = jnp.zeros_like(a)

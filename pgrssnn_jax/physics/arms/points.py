@@ -35,8 +35,8 @@ class ArmPoints(NamedTuple):
     side; position(p, reading) -> rad, where the state holds what encoders read; masses(p) -> Extra, None where the
     moving masses are those of the tables whatever an effect says (Pinocchio); inverse(p, q, q̇, q̈, extra) -> Nm that a
     motion takes on the link side, for many samples at once `[n, batch]`; stop(p, x) -> x;
-    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. tables: those of the arm without
-    effects; filter(p): numbers of the filter, None where the arm is not in that form.
+    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. tables: those of the arm
+    without effects; filter(p): numbers of the filter, None where the arm is not in that form.
     """
 
     drive: Callable[[Any, Joints], Joints]

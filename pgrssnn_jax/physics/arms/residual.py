@@ -1,0 +1,38 @@
+"""Torque residual of an arm's model: the applied torque minus the one that the measured motion requires.
+
+    e = D⁻¹ (τ(q, q̇, drive(u)) - M q̈ - h)        D = ∂drive/∂u: motor torque, Nm; zero where the model is right
+
+What a step adds to the velocities after its torques have acted is subtracted from q̈: S q̇ / dt, say. drive(u) is
+assumed to be linear in u. Samples are columns, `[n, batch]`.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from pgrssnn_jax.physics.arms.chain import Batch
+from pgrssnn_jax.physics.arms.points import ArmPoints
+
+
+def required_torque(points: ArmPoints, p: Any, dt: float, reading: Batch, v: Batch, a: Batch) -> Batch:
+    """M q̈ + h, Nm on the link side."""
+    assert points.masses is not None
+    q = jax.vmap(points.position, (None, 1), 1)(p, reading)
+    given = jax.vmap(partial(points.disturbance, p), (1, 1), 1)(state := jnp.concatenate([reading, v]), state)
+    return points.inverse(p, q, v, a - (given[len(v) :] - v) / dt, points.masses(p))
+
+
+def torque_residual(points: ArmPoints, p: Any, required: Batch, reading: Batch, v: Batch, u: Batch) -> Batch:
+    """e, Nm on the motor side, of a motion that requires the torque `required`."""
+    q = jax.vmap(points.position, (None, 1), 1)(p, reading)
+    drive = jax.vmap(points.drive, (None, 1), 1)(p, u)
+    given = jax.vmap(points.torque, (None, 1, 1, 1), 1)(p, q, v, drive)
+    return jnp.linalg.solve(drive_slope(points, p, u[:, 0]), given - required)
+
+
+def drive_slope(points: ArmPoints, p: Any, u: Float[jax.Array, " n"]) -> Float[jax.Array, "n n"]:
+    """D, the same for every u."""
+    return jax.jacfwd(lambda torque: points.drive(p, torque))(jnp.zeros_like(u))
