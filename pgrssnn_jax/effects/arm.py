@@ -3,6 +3,7 @@ joints once a step is done, and on how they are read.
 
     payload                mass m, kg, its centre d m outwards from the tip along the last joint's axis, x and y m
                            across it; its radius of gyration κ m, the same about every axis
+    link_mass              m_i ← (1 + s_i) m_i, its inertia in the same proportion, its centre where it was
     rotor_inertia          J kg m² on the motor side, felt as J G² by the links
     gravity_direction      base tilted by R = Ry(β) Rx(α): in the axes of the base gravity is Rᵀ g
     joint_limit            q ← min(max(q, q_low), q_high);   q̇ ← 0 where a joint at its stop moves into it
@@ -27,7 +28,7 @@ from jaxtyping import Float
 from pgrssnn_jax.effects.arm_common import INFINITE, an_arm, arm_effect, largest, points_of
 from pgrssnn_jax.effects.arm_torques import torque_effects
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point, own_of
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.points import State
 from pgrssnn_jax.physics.base import Parameter, Physics
 
@@ -42,12 +43,13 @@ def arm_effects(physics: Physics) -> tuple[Effect, ...]:
     gear = np.abs(np.asarray(own["G"], np.float64))
     left_out = {name for symbol, name in _KNOWN.items() if symbol in own}
     points = points_of(physics)
-    wrist = points is not None and points.wrist
-    found = (*torque_effects(n, gear, wrist=wrist), *mass_effects(n), *joint_effects(n))
+    assert points is not None
+    found = (*torque_effects(n, gear, wrist=points.wrist), *mass_effects(n, points.tables.mass), *joint_effects(n))
     return tuple(effect for effect in found if effect.name not in left_out)
 
 
-def mass_effects(n: int) -> tuple[Effect, ...]:
+def mass_effects(n: int, masses: Float[np.ndarray, " n"]) -> tuple[Effect, ...]:
+    """masses: of the links, kg."""
     return (
         arm_effect(
             None,
@@ -70,6 +72,17 @@ def mass_effects(n: int) -> tuple[Effect, ...]:
                 {name: np.full((), value) for name, value in zip(PAYLOAD, (1.0, d, 0.0, 0.0, 0.1), strict=True)}
                 for d in (0.1, 0.4)
             ],
+        ),
+        arm_effect(
+            n,
+            "link_mass",
+            "masses",
+            lambda n, own, extra: extra._replace(links=n["share"] * jnp.asarray(masses, n["share"].dtype)),
+            {"share": Parameter("s", "", bounds=(-0.9, INFINITE), neutral=0.0)},
+            title="Other masses of the links",
+            equation="m_i (1 + s_i), inertia in the same proportion",
+            cause="links are heavier or lighter than described: cables, covers, drives, another casting",
+            elaborate=True,
         ),
         arm_effect(
             n,

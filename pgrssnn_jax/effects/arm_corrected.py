@@ -13,7 +13,9 @@ from pgrssnn_jax.effects.stored import plain
 from pgrssnn_jax.physics.arms.tables import ArmTables
 from pgrssnn_jax.physics.base import Physics
 
-_IN_TABLES = ("payload", "home_offset", "gravity_direction", "rotor_inertia", "viscous_friction", "coulomb_friction")
+_IN_TABLES = (
+    "payload", "link_mass", "home_offset", "gravity_direction", "rotor_inertia", "viscous_friction", "coulomb_friction",
+)  # fmt: skip
 
 
 def corrected_tables(physics: Physics) -> ArmTables:
@@ -25,7 +27,10 @@ def corrected_tables(physics: Physics) -> ArmTables:
     tables = points.tables
     own, effects = (jax.tree.map(np.asarray, part) for part in (own_of(physics.params), effects_of(physics.params)))
     of = {name: effects.get(name, {}) for name in _IN_TABLES}
+    heavier = np.ones(tables.n) + of["link_mass"].get("share", 0.0)
     tables = tables._replace(
+        mass=heavier * tables.mass,
+        inertia=heavier[:, None, None] * tables.inertia,
         gear=own["G"],
         viscous=own["B"] + of["viscous_friction"].get("B", 0.0),
         coulomb=own["Tc"] + of["coulomb_friction"].get("Tc", 0.0),

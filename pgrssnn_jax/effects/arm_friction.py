@@ -2,10 +2,12 @@
 
     τ = ... - G² B q̇ - |G| Tc s                     s = tanh(q̇ / v0)
             - |G| Ts e^{-(q̇/v_s)²} s
+            - μ |G u| s                                   the gear loses more, the more torque it passes on
             - |G| ΔTc s² - G² ΔB |q̇|               more in the positive direction, less in the negative one
 
-G: gear ratio; B, ΔB (Nm s), Tc, Ts, ΔTc (Nm): on the motor side. v0 is small and fixed: a tanh in place of
-a sign, so that a fit sees the friction of a joint that turns. Numbers are per joint unless said otherwise.
+u: motor torque, Nm; μ: none; G: gear ratio; B, ΔB (Nm s), Tc, Ts, ΔTc (Nm): on the motor side. v0 is small and fixed:
+a tanh in place of a sign, so that a fit sees the friction of a joint that turns. Numbers are per joint unless said
+otherwise.
 Source: Armstrong-Hélouvry, Dupont, Canudas de Wit, Automatica 30 (1994).
 """
 
@@ -47,6 +49,16 @@ def friction_effects(n: int) -> tuple[Effect, ...]:
         ),
         stribeck_friction(n),
         effect(
+            "load_friction",
+            "torque",
+            lambda n, own, tau, q, v, drive: tau - n["mu"] * jnp.abs(drive) * jnp.tanh(v / STANDSTILL),
+            {"mu": Parameter("μ", "", bounds=(0.0, 0.9), neutral=0.0)},
+            title="Friction that grows with the load",
+            equation="τ = ... - μ |G u| tanh(q̇ / 0.02 rad/s)",
+            cause="teeth and bearings of a gear rub the harder, the more torque they pass on",
+            elaborate=True,
+        ),
+        effect(
             "asymmetric_friction",
             "torque",
             lambda n, own, tau, q, v, drive: (
@@ -65,7 +77,7 @@ def friction_effects(n: int) -> tuple[Effect, ...]:
 
 
 def stribeck_friction(n: int) -> Effect:
-    """One speed for all joints: it is poorly told by one joint alone."""
+    """One speed for all joints: it is poorly told by one joint alone. Below v0 it would correct the tanh."""
 
     def braked(n: Any, own: Any, tau: Joints, q: Joints, v: Joints, drive: Joints) -> Joints:
         slow = jnp.exp(-((v / n["speed"]) ** 2))
@@ -82,7 +94,7 @@ def stribeck_friction(n: int) -> Effect:
         braked,
         {
             "torque": Parameter("Ts", "Nm", bounds=(0.0, INFINITE), neutral=0.0),
-            "speed": Parameter("v_s", "rad/s", bounds=(1e-3, INFINITE), neutral=0.1),
+            "speed": Parameter("v_s", "rad/s", bounds=(STANDSTILL, INFINITE), neutral=0.1),
         },
         title="Stribeck friction",
         equation="τ = ... - |G| Ts exp(-(q̇ / v_s)²) tanh(q̇ / 0.02 rad/s)",

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.effects.arm_common import INFINITE, STANDSTILL, arm_effect, points_of
 from pgrssnn_jax.effects.base import Effect, at_point
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.points import Joints
 from pgrssnn_jax.physics.base import Parameter, Physics
 

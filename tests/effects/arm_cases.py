@@ -13,7 +13,7 @@ from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
 
 DT = 0.01  # s, of one Euler step, which shows the acceleration
-MASSES = {"payload", "rotor_inertia", "gravity_direction"}
+MASSES = {"payload", "link_mass", "rotor_inertia", "gravity_direction"}
 SPEED = np.linspace(0.01, 0.4, 6)
 NUMBERS: dict[str, dict[str, Any]] = {
     "torque_gain": {"gain": np.linspace(0.8, 1.2, 6)},
@@ -23,7 +23,9 @@ NUMBERS: dict[str, dict[str, Any]] = {
     "viscous_friction": {"B": np.linspace(0.0, 0.01, 6)},
     "coulomb_friction": {"Tc": np.linspace(0.1, 0.4, 6)},
     "stribeck_friction": {"torque": np.linspace(0.3, 0.1, 6), "speed": 0.2},
+    "load_friction": {"mu": np.linspace(0.05, 0.3, 6)},
     "payload": {"mass": 40.0, "distance": 0.3, "x": 0.1, "y": -0.2, "gyration": 0.2},
+    "link_mass": {"share": np.linspace(-0.3, 0.5, 6)},
     "rotor_inertia": {"J": np.linspace(1e-3, 2e-3, 6)},
     "gravity_direction": {"about_x": 0.1, "about_y": -0.2},
     "linear_spring": {"k": np.linspace(20.0, 200.0, 6)},

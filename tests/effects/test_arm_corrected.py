@@ -15,7 +15,7 @@ from pgrssnn_jax.physics.arms.urdf_writer import urdf_of
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 pytestmark = pytest.mark.usefixtures("x64")
-HELD = ("payload", "home_offset", "gravity_direction", "viscous_friction", "coulomb_friction")
+HELD = ("payload", "link_mass", "home_offset", "gravity_direction", "viscous_friction", "coulomb_friction")
 UPSIDE_DOWN = {"about_x": -3.1, "about_y": 0.0}
 
 

@@ -26,7 +26,7 @@ def named(name: str, effects: tuple[Effect, ...]) -> Effect:
     return next(effect for effect in effects if effect.name == name)
 
 
-PAYLOAD, ROTOR_INERTIA = (named(name, mass_effects(6)) for name in ("payload", "rotor_inertia"))
+PAYLOAD, ROTOR_INERTIA = (named(name, mass_effects(6, np.ones(6))) for name in ("payload", "rotor_inertia"))
 
 
 def state_space(inputs=("u",)):

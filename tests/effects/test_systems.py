@@ -21,7 +21,7 @@ LGSSM = {"input_saturation", "input_offset", "sensor_offset", "feedthrough", "qu
 ARM = {
     "viscous_friction", "coulomb_friction", "stribeck_friction", "torque_bias", "torque_gain", "velocity_disturbance",
     "payload", "gravity_counterbalance", "rotor_inertia", "joint_limit", "gravity_direction", "home_offset",
-    "wrist_coupling", "stiction", "linear_spring", "asymmetric_friction",
+    "wrist_coupling", "stiction", "linear_spring", "asymmetric_friction", "load_friction", "link_mass",
 }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms import jax_dynamics, pinocchio_dynamics
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.filter import filter_states, filter_step
 from pgrssnn_jax.physics.arms.jax_dynamics import Derivatives, ForwardDynamics
 from pgrssnn_jax.physics.arms.kinematics import skeleton

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.spatial import (
     Inertias,
     Vector,
@@ -32,34 +33,21 @@ from pgrssnn_jax.physics.arms.tables import ArmTables, turn_z
 Batch = Float[jax.Array, "n batch"]
 
 
-class Extra(NamedTuple):
-    """What an arm has besides its tables, or in their place; None where there is nothing.
-
-    payload: its mass, kg, the distance of its centre outwards from the tip along the last joint's axis, its place
-    across it along x and y of the last joint's frame, and its radius of gyration, the same about every axis, m, `[5]`;
-    rotor: armature beside the tables', kg m² on the link side, `[n]`; gravity: in place of the tables', m/s², `[3]`;
-    wrist: inertia of the last motor, kg m² on the link side, and r, where it turns with q̇_n + r q̇_{n-1}, `[2]`.
-    With these the tables are no constants of the compiled program any more.
-    """
-
-    payload: jax.Array | None = None
-    rotor: jax.Array | None = None
-    gravity: jax.Array | None = None
-    wrist: jax.Array | None = None
-
-
 class World(NamedTuple):
     """axes: motion of a unit velocity of every joint, S_i, 6 components; inertias of the links; all at the origin.
-    point: where the payload is, m, and how it moves by each number of its place, 4 · 3 components `[1, batch]`."""
+    point: where the payload is, m, and how it moves by each number of its place, 4 · 3 components `[1, batch]`; unit:
+    first and second moments of a link by its mass, 9 components `[n, batch]`, where `Extra.links` are."""
 
     axes: Vector
     inertias: Inertias
     point: Vector | None = None
+    unit: Vector | None = None
 
     def packed(self) -> tuple[jax.Array, ...]:
-        """As one array, and another where there is a payload."""
+        """As one array, and others of what the tables do not say."""
         rows = jnp.stack([*self.axes, *self.inertias.first, *self.inertias.second])
-        return (rows,) if self.point is None else (rows, self.inertias.mass, jnp.stack(self.point))
+        more = [jnp.stack(part) for part in (self.point, self.unit) if part is not None]
+        return (rows, self.inertias.mass, *more) if more else (rows,)
 
 
 class Chain:
@@ -115,10 +103,12 @@ def world_at(chain: Chain, q: Batch, extra: Extra) -> World:
     axes = axis + cross(p, axis)
     mass = chain.column(tables.mass, q)
     center = [p[a] + sum(rotation[a][k] * chain.column(tables.center[:, k], q) for k in range(3)) for a in range(3)]
-    first = scale(mass, center)
+    inertia = tables.inertia
+    if extra.links is not None:  # of a unit mass
+        inertia = inertia / np.where(tables.mass > 0, tables.mass, np.inf)[:, None, None]
+    first = center if extra.links is not None else scale(mass, center)
     half = [
-        [sum(rotation[a][k] * chain.column(tables.inertia[:, k, b], q) for k in range(3)) for b in range(3)]
-        for a in range(3)
+        [sum(rotation[a][k] * chain.column(inertia[:, k, b], q) for k in range(3)) for b in range(3)] for a in range(3)
     ]
 
     def second(a: int, b: int) -> jax.Array:
@@ -127,6 +117,9 @@ def world_at(chain: Chain, q: Batch, extra: Extra) -> World:
 
     moments = [second(a, b) for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     found = World(axes, Inertias(mass, first, moments))
+    if extra.links is not None:
+        mass += extra.links
+        found = World(axes, Inertias(mass, scale(mass, first), scale(mass, moments)), unit=[*first, *moments])
     if extra.payload is None:
         return found
     tip = [p[a][-1:] + sum(rotation[a][k][-1:] * float(tables.tip[k]) for k in range(3)) for a in range(3)]
@@ -150,11 +143,12 @@ def _loaded(chain: Chain, world: World, tip: Vector, directions: list[Vector], p
     )
 
 
-def unpacked(chain: Chain, packed: Sequence[jax.Array]) -> World:
+def unpacked(chain: Chain, packed: Sequence[jax.Array], extra: Extra) -> World:
     """The inverse of `World.packed`."""
-    rows, *loaded = packed
-    mass, point = (loaded[0], list(loaded[1])) if loaded else (chain.column(chain.tables.mass, rows), None)
-    return World(list(rows[:6]), Inertias(mass, list(rows[6:9]), list(rows[9:])), point)
+    rows, *more = packed
+    mass = more.pop(0) if more else chain.column(chain.tables.mass, rows)
+    point, unit = (None if part is None else list(more.pop(0)) for part in (extra.payload, extra.links))
+    return World(list(rows[:6]), Inertias(mass, list(rows[6:9]), list(rows[9:])), point, unit)
 
 
 def _frames(chain: Chain, q: Batch) -> tuple[list[list[jax.Array]], Vector]:

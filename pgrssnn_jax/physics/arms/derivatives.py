@@ -17,7 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.arms.chain import Batch, Chain, Extra, World, carried_inertias, outer, solve, with_gravity
+from pgrssnn_jax.physics.arms.chain import Batch, Chain, World, carried_inertias, outer, solve, with_gravity
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.spatial import (
     Inertias,
     Vector,
@@ -188,6 +189,7 @@ def _by_extra(chain: Chain, world: World, motion: Motion, a: Batch, extra: Extra
         None if extra.rotor is None else jnp.eye(chain.n, dtype=a.dtype)[:, :, None] * a[:, None],
         None if extra.gravity is None else _by_gravity(chain, world),
         None if extra.wrist is None else _by_wrist(chain, a, extra.wrist),
+        None if extra.links is None else _by_links(chain, world, motion),
     )
 
 
@@ -216,6 +218,17 @@ def _by_wrist(chain: Chain, a: Batch, wrist: jax.Array) -> Matrix:
     by_inertia, by_ratio = [ratio * turning, turning], [inertia * (turning + ratio * before), inertia * before]
     others = [jnp.zeros_like(before)] * (chain.n - 2)
     return jnp.stack([jnp.stack([*others, *by]) for by in (by_inertia, by_ratio)], 1)
+
+
+def _by_links(chain: Chain, world: World, motion: Motion) -> Matrix:
+    """A unit mass of link i asks the joints that carry it for S_kᵀ (I a_i + v_i ×* I v_i), I its inertia."""
+    assert world.unit is not None
+    unit = Inertias(jnp.ones_like(world.unit[0]), world.unit[:3], world.unit[3:])
+    moving = momentum(unit, motion.velocity)
+    force = plus(momentum(unit, motion.acceleration), force_cross(motion.velocity, moving))
+    above, _ = _kinship(chain)
+    carries = jnp.asarray(above + np.eye(chain.n)[:, :, None], force[0].dtype)
+    return carries * outer(world.axes, force)
 
 
 def _by_gravity(chain: Chain, world: World) -> Matrix:

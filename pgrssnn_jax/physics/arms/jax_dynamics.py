@@ -11,8 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.batching import batch_last
-from pgrssnn_jax.physics.arms.chain import Batch, Chain, Extra, accelerations, unpacked
+from pgrssnn_jax.physics.arms.chain import Batch, Chain, accelerations, unpacked
 from pgrssnn_jax.physics.arms.derivatives import Matrix, jacobian, pull_back
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.tables import ArmTables
 
 Joints = Float[jax.Array, " n"]
@@ -54,7 +55,7 @@ def _reverse(chain: Chain) -> tuple[Callable[..., Any], Callable[..., Any]]:
     @batch_last
     def pull(v: Batch, a: Batch, extra: Extra, kept: tuple[jax.Array, ...], a_bar: Batch) -> tuple[Any, ...]:
         factor, *world = kept
-        return pull_back(chain, v, a, factor, unpacked(chain, world), extra, a_bar)
+        return pull_back(chain, v, a, factor, unpacked(chain, world, extra), extra, a_bar)
 
     def forward(q: Joints, v: Joints, tau: Joints, extra: Extra) -> tuple[Joints, tuple[Any, ...]]:
         a, kept = solve(q, v, tau, extra)

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import TABLES_ONLY, Derivatives, ForwardDynamics, Joints
 from pgrssnn_jax.physics.arms.tables import ArmTables, pinocchio_model
 

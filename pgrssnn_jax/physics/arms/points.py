@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.arms.chain import Batch, Chain, Extra, torques, world_at
+from pgrssnn_jax.physics.arms.chain import Batch, Chain, torques, world_at
 from pgrssnn_jax.physics.arms.derivatives import inverse_jacobian
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers
 from pgrssnn_jax.physics.arms.tables import ArmTables
 
@@ -86,8 +87,12 @@ def _inverse_dynamics(chain: Chain) -> Callable[[Any, Batch, Batch, Batch, Extra
         q, v, a, extra = primals
         world = world_at(chain, q, extra)
         matrix = inverse_jacobian(chain, v, a, world, extra)
-        z = jnp.concatenate([jnp.broadcast_to(one, (len(one), q.shape[1])) for one in jax.tree.leaves(tangents)])
-        return torques(chain, world, v, a, extra), (matrix * z[None]).sum(1)
+        *motions, numbers = tangents
+        z, beta = jnp.concatenate(motions), jax.tree.leaves(numbers)
+        moved = jnp.einsum("nkb,kb->nb", matrix[:, : len(z)], z)
+        if beta:
+            moved += jnp.einsum("nkb,k->nb", matrix[:, len(z) :], jnp.concatenate(beta)[:, 0])
+        return torques(chain, world, v, a, extra), moved
 
     return lambda p, q, v, a, extra: inverse(q, v, a, jax.tree.map(lambda number: number[:, None], extra))
 

@@ -1,4 +1,4 @@
-"""Payload, motor inertia and gravity against Pinocchio's model of the arm that has them."""
+"""Payload, heavier links, motor inertia and gravity against Pinocchio's model of the arm that has them."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from arm_samples import KUKA, OBLIQUE, TREE, accelerations, in_model, published,
 from toys import quick_jit
 
 from pgrssnn_jax.effects.arm import tilted
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics
 from pgrssnn_jax.physics.arms.pinocchio_dynamics import forward_dynamics as pinocchios
 from pgrssnn_jax.physics.arms.points import own_points
@@ -36,22 +36,27 @@ def test_accelerations_are_those_of_pinocchios_changed_model(tables):
     data = model.createData()
     tau = np.array([pin.rnea(model, data, *one).copy() for one in zip(q, v, a, strict=True)])
     run = quick_jit(jax.vmap(forward_dynamics(tables), (0, 0, 0, None)))
-    rotor, gravity = np.linspace(1.0, 2.0, n), np.array([2.0, -3.0, -7.0])
-    for mass, more, pull in (
-        (MASS, rotor, gravity),
-        (MASS, 0 * rotor, tables.gravity),
-        (0.0, rotor, tables.gravity),
-        (0.0, 0 * rotor, gravity),
+    rotor, gravity, share = np.linspace(1.0, 2.0, n), np.array([2.0, -3.0, -7.0]), np.linspace(-0.3, 0.5, n)
+    for mass, more, pull, heavier in (
+        (MASS, rotor, gravity, share),
+        (MASS, 0 * rotor, tables.gravity, 0 * share),
+        (0.0, rotor, tables.gravity, 0 * share),
+        (0.0, 0 * rotor, gravity, 0 * share),
+        (0.0, 0 * rotor, tables.gravity, share),
     ):
-        other = pinocchio_model(tables)
+        factor = 1.0 + heavier
+        other = pinocchio_model(
+            tables._replace(mass=factor * tables.mass, inertia=factor[:, None, None] * tables.inertia)
+        )
         if mass:
             outwards = -1.0 if tables.tip[2] < 0 else 1.0
             placed = pin.SE3(np.eye(3), tables.tip + np.array([*ACROSS, outwards * DISTANCE]))
-            load = pin.Inertia(mass, np.zeros(3), mass * GYRATION**2 * np.eye(3))
-            other.appendBodyToJoint(n, load, placed)
+            body = pin.Inertia(mass, np.zeros(3), mass * GYRATION**2 * np.eye(3))
+            other.appendBodyToJoint(n, body, placed)
         other.armature = tables.armature + more
         other.gravity.linear = pull
-        extra = Extra(jnp.array([mass, DISTANCE, *ACROSS, GYRATION]), jnp.asarray(more), jnp.asarray(pull))
+        load = jnp.array([mass, DISTANCE, *ACROSS, GYRATION])
+        extra = Extra(load, jnp.asarray(more), jnp.asarray(pull), links=jnp.asarray(heavier * tables.mass))
         np.testing.assert_allclose(run(q, v, tau, extra), accelerations(other, q, v, tau), rtol=1e-8, atol=1e-8)
 
 

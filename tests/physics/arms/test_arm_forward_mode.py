@@ -12,7 +12,7 @@ from toys import quick_jit
 
 from pgrssnn_jax.physics.arms import pinocchio_dynamics
 from pgrssnn_jax.physics.arms.build import arm
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.jax_dynamics import forward_dynamics
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -20,9 +20,9 @@ BY_ALL = (0, 1, 2, 3)
 
 
 def changed(n):
-    """A payload, rotors, a gravity that is askew and a last motor that turns with the joint before."""
+    """A payload, rotors, a gravity that is askew, a last motor that turns with the joint before, and other links."""
     payload, gravity = jnp.array([3.0, 0.2, 0.1, -0.3, 0.4]), jnp.array([1.0, -2.0, 8.0])
-    return Extra(payload, jnp.linspace(0.1, 1.0, n), gravity, jnp.array([0.7, -1.5]))
+    return Extra(payload, jnp.linspace(0.1, 1.0, n), gravity, jnp.array([0.7, -1.5]), jnp.linspace(0.3, -0.2, n))
 
 
 class Robot:
@@ -83,7 +83,7 @@ def test_both_modes_have_one_jacobian(robot, with_extra):
     extra = changed(robot.n) if with_extra else Extra()
     forward, reverse = (robot.jacobian[mode](*robot.given, extra) for mode in ("forward", "reverse"))
     leaves = jax.tree.leaves(forward)
-    assert len(leaves) == (7 if with_extra else 3)
+    assert len(leaves) == (8 if with_extra else 3)
     for mine, other in zip(leaves, jax.tree.leaves(reverse), strict=True):
         assert_close(mine, other, 1e-11)
 

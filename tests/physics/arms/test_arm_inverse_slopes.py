@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from arm_samples import KUKA, OBLIQUE, TREE, states, torques, urdf
 
-from pgrssnn_jax.physics.arms.chain import Extra
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.points import own_points
 from pgrssnn_jax.physics.arms.tables import pinocchio_model
 from pgrssnn_jax.physics.arms.urdf import read_urdf
@@ -40,12 +40,12 @@ def test_the_slopes_by_the_motion_are_those_of_pinocchio(tables):
 
 
 def test_the_slopes_by_what_the_tables_do_not_say_are_finite_differences():
-    """Payload, rotors, gravity and a coupled last motor, together, in both modes of differentiation."""
+    """Payload, rotors, gravity, a coupled last motor and other links, together, in both modes of differentiation."""
     inverse = own_points(KUKA, masses=True, measured=True).inverse
     motion = [jnp.asarray(one.T) for one in states(6, 3)]
     extra = Extra(
         jnp.asarray([30.0, 0.2, 0.05, -0.03, 0.1]), jnp.linspace(0.1, 1.0, 6), jnp.asarray([1.0, 2.0, -9.0]),
-        jnp.asarray([0.7, 0.9]),
+        jnp.asarray([0.7, 0.9]), jnp.linspace(-20.0, 30.0, 6),
     )  # fmt: skip
     flat, unravel = jax.flatten_util.ravel_pytree(extra)
 
