@@ -86,9 +86,8 @@ def linearised(
 ) -> tuple[Joints, Float[jax.Array, "n m"], Joints]:
     """Mean torque residual of a motion [q, q̇, q̈], its derivative by the motion, and the variance that friction of an
     unknown direction adds; spread: standard deviation of the speeds, rad/s."""
-    drive = points.drive(p, u)
 
-    def both(v: Joints, reading: Joints) -> tuple[Joints, Joints, Joints]:
+    def both(v: Joints, reading: Joints, drive: Joints) -> tuple[Joints, Joints, Joints]:
         """P(q̇ > 0), and the torque in either direction."""
         z = jnp.clip(v / spread, -_FURTHEST, _FURTHEST)
         density, forwards = norm.logpdf(z), log_ndtr(z)
@@ -98,22 +97,23 @@ def linearised(
         torques = [points.torque(p, q, speed, drive) for speed in speeds]
         return jnp.exp(forwards), torques[0], torques[1]
 
-    def mean(v: Joints, reading: Joints) -> Joints:
-        share, ahead, back = both(v, reading)
+    def mean(v: Joints, reading: Joints, drive: Joints) -> Joints:
+        share, ahead, back = both(v, reading, drive)
         return share * ahead + (1 - share) * back
 
     def residual(motion: jax.Array) -> tuple[Joints, Joints]:
         reading, v, a = jnp.split(motion, 3)
         required = required_torque(points, p, dt, reading[:, None], v[:, None], a[:, None])[:, 0]
-        found = mean(v, reading) - required
+        found = mean(v, reading, points.drive(p, u)) - required
         return found, found
 
     slope, error = jax.jacfwd(residual, has_aux=True)(motion)
     reading, v, _ = jnp.split(motion, 3)
-    share, ahead, back = both(v, reading)
-    by_speed = jax.jvp(lambda v: mean(v, reading), (v,), (jnp.ones_like(v),))[1]
+    (share, ahead, back), one = both(v, reading, drive := points.drive(p, u)), jnp.ones_like(v)
+    by_speed = jax.jvp(lambda v: mean(v, reading, drive), (v,), (one,))[1]
+    passed_on = jax.jvp(lambda drive: mean(v, reading, drive), (drive,), (one,))[1]
     unsure = share * (1 - share) * (ahead - back) ** 2 - (by_speed * spread) ** 2
-    by_motor = drive_slope(points, p, u)
+    by_motor = passed_on[:, None] * drive_slope(points, p, u)
     inverted = jnp.linalg.inv(by_motor)
     return inverted @ error, inverted @ slope, jnp.maximum(unsure, 0) / jnp.diag(by_motor) ** 2
 

@@ -1,9 +1,9 @@
 """Torque residual of an arm's model: the applied torque minus the one that the measured motion requires.
 
-    e = D⁻¹ (τ(q, q̇, drive(u)) - M q̈ - h)        D = ∂drive/∂u: motor torque, Nm; zero where the model is right
+    e = D⁻¹ (τ(q, q̇, drive(u)) - M q̈ - h)        D = ∂τ/∂u: motor torque, Nm; zero where the model is right
 
 What a step adds to the velocities after its torques have acted is subtracted from q̈: S q̇ / dt, say. drive(u) is
-assumed to be linear in u. Samples are columns, `[n, batch]`.
+assumed to be linear in u, and τ of a joint to depend on no other joint's drive. Samples are columns, `[n, batch]`.
 """
 
 from functools import partial
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.chain import Batch
-from pgrssnn_jax.physics.arms.points import ArmPoints
+from pgrssnn_jax.physics.arms.points import ArmPoints, Joints
 
 
 def required_torque(points: ArmPoints, p: Any, dt: float, reading: Batch, v: Batch, a: Batch) -> Batch:
@@ -29,10 +29,16 @@ def torque_residual(points: ArmPoints, p: Any, required: Batch, reading: Batch, 
     """e, Nm on the motor side, of a motion that requires the torque `required`."""
     q = jax.vmap(points.position, (None, 1), 1)(p, reading)
     drive = jax.vmap(points.drive, (None, 1), 1)(p, u)
-    given = jax.vmap(points.torque, (None, 1, 1, 1), 1)(p, q, v, drive)
-    return jnp.linalg.solve(drive_slope(points, p, u[:, 0]), given - required)
+    torque = partial(jax.vmap(points.torque, (None, 1, 1, 1), 1), p, q, v)
+    given, passed_on = jax.jvp(torque, (drive,), (jnp.ones_like(drive),))
+    return jnp.linalg.solve(drive_slope(points, p, u[:, 0]), (given - required) / passed_on)
 
 
 def drive_slope(points: ArmPoints, p: Any, u: Float[jax.Array, " n"]) -> Float[jax.Array, "n n"]:
-    """D, the same for every u."""
+    """∂drive/∂u, the same for every u."""
     return jax.jacfwd(lambda torque: points.drive(p, torque))(jnp.zeros_like(u))
+
+
+def torque_slope(points: ArmPoints, p: Any, q: Joints, v: Joints, u: Joints) -> Float[jax.Array, "n n"]:
+    """D of one sample."""
+    return jax.jacfwd(lambda torque: points.torque(p, q, v, points.drive(p, torque)))(u)
