@@ -102,6 +102,8 @@ def discover_in(
         if _elaborate(named, setup, chosen.criteria):
             notify("errors stay above the noise: elaborate effects are looked for too")
             named = _named(corrected.with_catalogue(problem, setup.effects), setup, notify, seconds)
+        with _timed(seconds, "numbers"):
+            named = named._replace(selection=named.how.finish(named.problem, named.selection))
         with _timed(seconds, "locate"):
             location = _located(named)
         with _timed(seconds, "judge"):
@@ -140,7 +142,7 @@ def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], second
     with _timed(seconds, "name"):
         criteria = chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
         screened = remembered(how.screen(problem, chosen.without, criteria), notify)
-        selection = how.finish(problem, select(problem, begun, criteria, screened))
+        selection = select(problem, begun, criteria, screened)
     return Named(problem, how, known, nominal, selection)
 
 
