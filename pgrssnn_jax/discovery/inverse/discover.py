@@ -29,6 +29,9 @@ FRICTION = {"viscous_friction": "B", "coulomb_friction": "Tc"}
 _SAMPLES, _FINAL, _COARSE = 2000, 1000, 500  # of each joint: for effects, for the best structures, for all of them
 _SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belongs to it
 _OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
+# Standard deviation of a gain from 1 before any data, weaker than any data sheet: where a description has neither
+# friction nor motor inertia, all torques of a joint could grow with its gain. 0.25 to 1 give the measured arms alike.
+_GAIN = 0.5
 _IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
 _FAST = 0.2  # of a joint's highest speed
 _SHORTEST = 50  # samples: what a filter forwards and backwards takes at its ends, several times
@@ -177,11 +180,12 @@ def _plausible(problem: Problem, fastest: Float[np.ndarray, " n"]) -> Problem:
 
 
 def _held(problem: Problem, tolerance: float | None) -> Problem:
-    """Every number of the physics is known relative to itself, joint by joint; None: as well as not."""
-    if tolerance is None:
-        return problem
-    own, precision = own_places(problem), np.zeros(len(problem.theta))
-    precision[own] = 1.0 / (tolerance * problem.theta[own]) ** 2
+    """Every number of the physics is known relative to itself, joint by joint; None: as well as not. A gain is one."""
+    precision, gains = np.zeros(len(problem.theta)), [slot.path == ("torque_gain", "gain") for slot in problem.slots]
+    precision[gains] = 1.0 / _GAIN**2
+    if tolerance is not None:
+        own = own_places(problem)
+        precision[own] = 1.0 / (tolerance * problem.theta[own]) ** 2
     return replace(problem, precision=precision)
 
 
@@ -198,10 +202,11 @@ def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Readi
     measured, whatever the motion was filtered by. A gain is left out, because it imitates a shift,
     and so are slow samples: where a joint turns round, a controller's torque is late by itself."""
     fastest, dt = fastest_of(motion), setup.physics.dt
+    begun = with_everything(search, best, _IMITATE).fit.theta
 
     def missed(reading: Reading) -> float:
         samples = samples_of(_few(reading.of(setup.estimation), _COARSE), fastest)
-        error = with_everything(search._replace(samples=samples), best, without=_IMITATE).fit.error
+        error = with_everything(search._replace(samples=samples), best, _IMITATE, begun).fit.error
         fast = np.abs(samples.v) > _FAST * fastest[:, None]
         return float(np.mean([np.log(np.mean(e[among] ** 2)) for e, among in zip(error, fast, strict=True)]))
 

@@ -21,13 +21,13 @@ from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.base import Effect, points_changed
 from pgrssnn_jax.physics.arms.points import ArmPoints
-from pgrssnn_jax.physics.arms.residual import required_torque, torque_residual
+from pgrssnn_jax.physics.arms.residual import required_torque, torque_residual, torque_slope
 from pgrssnn_jax.physics.base import Physics, extension_of
 
 _STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slower, it stands still
 _CERTAIN = 3.0  # standard deviations of a speed whose sign is known
 _LEAST_BLOCKS = 24
-_AT_ONCE = 4  # derivatives that one program computes: one program for all
+_AT_ONCE = 16  # derivatives that one program computes: one program for all
 _JUDGED = frozenset(("drive", "torque", "position", "masses", "disturbance"))  # points that a torque depends on
 _HEAVY = frozenset(("masses", "position", "disturbance"))  # those that the inverse dynamics depend on
 Errors = Float[np.ndarray, "n batch"]
@@ -78,10 +78,12 @@ def fastest_of(motion: Motion) -> Float[np.ndarray, " n"]:
 @dataclass(frozen=True, eq=False)
 class Torques:
     """Errors of a problem, and their derivatives by the numbers of θ at `places`, `[place, n, batch]`. moves: the
-    places of numbers that the inverse dynamics depend on; all others cost next to nothing."""
+    places of numbers that the inverse dynamics depend on; all others cost next to nothing. scales: of those that D
+    depends on, and with it the derivatives by all others."""
 
     problem: Problem
     moves: Int[np.ndarray, " m"]
+    scales: Int[np.ndarray, " s"]
     _errors: Callable[..., jax.Array]
     _heavy: Callable[..., jax.Array]
     _light: Callable[..., jax.Array]
@@ -127,9 +129,14 @@ def torques(problem: Problem) -> Torques:
 
         return along_each(residual, theta, along)
 
-    moves = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & _HEAVY]
-    places = [problem.of(name) for name in moves]
-    return Torques(problem, np.concatenate([[], *places]).astype(int), *map(jax.jit, (errors, heavy, light)))
+    def slope(theta: jax.Array) -> jax.Array:
+        one = jnp.ones(len(problem.physics.inputs))
+        return torque_slope(points, problem.code.unravel(theta), one, one, one)
+
+    heavies = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & _HEAVY]
+    moves = np.concatenate([[], *map(problem.of, heavies)]).astype(int)
+    scales = np.flatnonzero(np.asarray(jax.jacfwd(slope)(jnp.asarray(problem.theta))).any((0, 1)))
+    return Torques(problem, moves, scales, *map(jax.jit, (errors, heavy, light)))
 
 
 def judged(physics: Physics, effects: Iterable[Effect]) -> tuple[Effect, ...]:

@@ -19,7 +19,7 @@ from pgrssnn_jax.discovery.problem import Problem
 
 _STEPS = 8  # of Gauss-Newton: most numbers are linear and need one
 _SHORTER = 8  # halvings of a step
-_STILL_FALLS = 1e-4  # part of the cost: less is no progress
+_STILL_FALLS = 1e-4  # part of the cost: less is no progress, and what is not linear by less counts as linear
 _LEAST = 1e-9  # of the largest σ
 
 
@@ -58,11 +58,11 @@ def fitted(
     """remembered: κ of every joint."""
     error = torques.errors(theta, samples)
     weight = regime_weight(error, samples, remembered)
+    derivatives = torques.derivatives(theta, samples, places)
     for _ in range(_STEPS):
-        derivatives = torques.derivatives(theta, samples, places)
         sums = _sums(error, derivatives, np.sqrt(weight), np.ones(error.shape[1], bool))
         step = _solved(torques.problem, theta, places, *sums)
-        now, cost = theta, _cost(torques, error, weight, theta)
+        now, before, cost = theta, error, _cost(torques, error, weight, theta)
         for halved in range(_SHORTER):
             theta = now.copy()
             theta[places] += step * 0.5**halved
@@ -71,10 +71,12 @@ def fitted(
                 break
         else:
             theta, error, after = now, torques.errors(now, samples), cost
+        bent = error - before - np.tensordot(theta[places] - now[places], derivatives, 1)
+        linear = float((weight * bent**2).sum()) <= _STILL_FALLS * after
         weight = regime_weight(error, samples, remembered)
-        if cost - after <= _STILL_FALLS * cost:
+        if linear or cost - after <= _STILL_FALLS * cost:
             break
-    derivatives = torques.derivatives(theta, samples, places)
+        derivatives = torques.derivatives(theta, samples, places)
     return linear_fit(torques, samples, theta, places, error, derivatives, weight, folds)
 
 

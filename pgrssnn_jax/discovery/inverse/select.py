@@ -1,6 +1,6 @@
 """Which effects an arm lacks: its structure first, then what predicts, found from two sides.
 
-    backward   all effects at once, and out with the one that predicts least
+    backward   all plain effects at once, and out with the one that predicts least
     forward    one after another what predicts most, and out with what it makes superfluous
 
 Going forward, a gain can stand in for a motor's inertia and never leave; going backward, three small effects can stand
@@ -97,7 +97,7 @@ def select(search: Search, tried: Sequence[Tried], notify: Callable[[str], None]
     """tried: structures, the best one first, then those that predict as well."""
     problem, (best, *rivals) = search.problem, tried
     theta, structure = _placed(problem, best)
-    everything = with_everything(search, best)
+    everything = with_everything(search, best, begun=best.fit.theta)
     search = search._replace(kappa=remembered(everything.fit.error, search.samples))
     everything = Model(search.fit(everything.fit.theta, everything.active), everything.active)
     recalibrated = search.fit(problem.theta, {})
@@ -112,12 +112,12 @@ def select(search: Search, tried: Sequence[Tried], notify: Callable[[str], None]
 
 
 def finalists(search: Search, tried: Sequence[Tried]) -> list[Tried]:
-    """The first structures with all effects and more samples: the simplest one that is as good as the best, then those
-    that change no more and predict as well."""
+    """The first structures, now fitted with all effects and to more samples: the simplest one that is as good as the
+    best, then those that change no more and predict as well."""
     fits = [with_everything(search, one).fit for one in tried[:_FINALISTS]]
     best = max(fits, key=lambda fit: search.gain(fits[0], fit).value)
     alike = [k for k, fit in enumerate(fits) if not search.gain(fit, best).clear(search.criteria.certain)]
-    return [tried[k] for k in alike]
+    return [tried[k]._replace(fit=fits[k]) for k in alike]
 
 
 def _placed(problem: Problem, best: Tried) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -129,16 +129,19 @@ def _placed(problem: Problem, best: Tried) -> tuple[np.ndarray, dict[str, np.nda
     return theta, active
 
 
-def with_everything(search: Search, best: Tried, without: Sequence[str] = ()) -> Model:
-    """All effects beside the structure, but for those named in `without`."""
+def with_everything(
+    search: Search, best: Tried, without: Sequence[str] = (), begun: Float[np.ndarray, " p"] | None = None
+) -> Model:
+    """All effects beside the structure, but for those named in `without` and the elaborate ones, of which only those
+    come in that predict: masses of all links beside a gain have no scale. begun: numbers of a fit to other samples."""
     problem, span = search.problem, span_of(search.samples)
     theta, structure = _placed(problem, best)
     active = dict(structure)
     for effect in problem.effects:
-        if effect.name not in (*STRUCTURE, *without) and not _is_own(problem, effect.name):
+        if not (effect.elaborate or effect.name in (*STRUCTURE, *without) or _is_own(problem, effect.name)):
             active[effect.name] = problem.of(effect.name)
             theta = problem.put(theta, effect.name, effect.guesses(span)[0])
-    return Model(search.fit(theta, active), active)
+    return Model(search.fit(theta if begun is None else begun, active), active)
 
 
 def _plainer(problem: Problem, name: str) -> list[str]:
@@ -160,13 +163,19 @@ def _better(search: Search, one: Model, other: Model) -> Model:
 
 
 def _grown(search: Search, now: Model, notify: Callable[[str], None]) -> Model:
-    """With whatever else predicts, one effect after another; what has been superfluous once does not come back."""
+    """With whatever else predicts, one effect after another, elaborate ones when no plain one does; what has been
+    superfluous once does not come back."""
     refused, superfluous = set[str](), set[str]()
     while True:
         found = {name: one for name, one in _screened(search, now).items() if name not in refused | superfluous}
-        name = max(found, key=lambda one: found[one][0].value, default=None)
-        if name is None or not search.worth(found[name][0]):
+        worth = [
+            (search.problem.effect(name).elaborate, -one.value, name)
+            for name, (one, _) in found.items()
+            if search.worth(one)
+        ]
+        if not worth:
             return now
+        *_, name = min(worth)
         refused.add(name)
         active = {**now.active, name: search.problem.of(name)}
         grown = Model(search.fit(found[name][1], active), active)
@@ -226,12 +235,14 @@ def _pruned(search: Search, now: Model) -> Model:
 
 
 def _without(search: Search, now: Model, name: str) -> Model:
-    """The others refitted in one step. Derivatives by other numbers do not depend on an effect that adds a torque."""
+    """The others refitted in one step. Derivatives by their numbers do not depend on an effect that adds a torque, but
+    on one that scales it."""
     problem = search.problem
     theta = problem.put(now.fit.theta, name, problem.effect(name).neutral())
     active = {other: places for other, places in now.active.items() if other != name}
     keeps = np.isin(now.fit.places, search.places(active))
-    known = None if name in STRUCTURE else now.fit.derivatives[keeps]
+    changed = name in STRUCTURE or np.isin(problem.of(name), search.torques.scales).any()
+    known = None if changed else now.fit.derivatives[keeps]
     return Model(search.linear(theta, active, known), active)
 
 

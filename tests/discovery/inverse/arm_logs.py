@@ -30,6 +30,7 @@ def log(
     gain=1.0,
     bias=0.0,
     friction=1.0,
+    load=0.0,
     noise: float = 1e-5,
     torque_noise: float = 0.02,
     model=None,
@@ -43,7 +44,9 @@ def log(
     flat = zip(*(x.reshape(-1, n) for x in (q, v, a)), strict=True)
     moved = np.stack([pin.rnea(model, data, *one).copy() for one in flat]).reshape(q.shape)
     rubbed = tables.gear**2 * tables.viscous * v + np.abs(tables.gear) * tables.coulomb * np.sign(v)
-    u = (moved + friction * rubbed - bias) / (gain * tables.gear) + torque_noise * rng.normal(size=q.shape)
+    rest = moved + friction * rubbed - bias
+    drive = rest / (1 - load * np.sign(v * rest))  # drive - load |drive| sign(v) = rest
+    u = drive / (gain * tables.gear) + torque_noise * rng.normal(size=q.shape)
     y = q + home + noise * rng.normal(size=q.shape)
     channels = ([Channel(f"{what}_{i + 1}", unit) for i in range(n)] for what, unit in SIGNALS)
     return record(u, y, RecordInfo(*map(tuple, channels), DT, "simulated", f"path {seed}"))

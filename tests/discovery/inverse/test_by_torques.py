@@ -25,6 +25,11 @@ def loaded(mass, place, gyration=0.1):
     return model
 
 
+def heavier(share):
+    factor = 1.0 + np.array(share)
+    return pinocchio_model(KUKA._replace(mass=factor * KUKA.mass, inertia=factor[:, None, None] * KUKA.inertia))
+
+
 def numbers(found):
     return {e.name: {k: np.asarray(p["value"]) for k, p in e.parameters.items()} for e in found.effects}
 
@@ -80,6 +85,8 @@ def test_inverted_gravity_and_a_turned_joint_are_found_behind_a_payload():
     [
         ("torque_bias", {"bias": np.array([0.0, 150.0, -80.0, 0.0, 0.0, 0.0])}, "theta", [0, 150, -80, 0, 0, 0]),
         ("home_offset", {"home": np.array([0, 0.06, -0.05, 0, 0, 0])}, "offset", [0, 0.06, -0.05, 0, 0, 0]),
+        ("load_friction", {"load": np.array([0, 0.1, 0, 0, 0, 0])}, "mu", [0, 0.1, 0, 0, 0, 0]),
+        ("link_mass", {"model": heavier([0, 0, 0.25, 0, 0, 0])}, "share", [0, 0, 0.25, 0, 0, 0]),
         ("torque_gain", {"gain": np.array([1, 1, 1.12, 1, 1, 1])}, "gain", [1, 1, 1.12, 1, 1, 1]),
     ],
 )

@@ -31,6 +31,7 @@ def test_friction_rotors_offsets_and_the_coupled_wrist_are_named(data):
     assert {"viscous_friction", "coulomb_friction", "rotor_inertia", "wrist_coupling"} <= set(named)
     np.testing.assert_allclose(np.array(named["viscous_friction"]["B"]["value"])[:5], VISCOUS, rtol=0.15)
     np.testing.assert_allclose(np.array(named["coulomb_friction"]["Tc"]["value"])[:5], COULOMB, rtol=0.2)
+    assert named["torque_bias"]["theta"]["value"][1] == pytest.approx(-1.37, abs=0.6)  # the largest one by far
     wrist = {key: number["value"] for key, number in named["wrist_coupling"].items()}
     assert wrist["ratio"] == pytest.approx(1.0, abs=0.1)
     assert wrist["J"] == pytest.approx(0.010, rel=0.3)
