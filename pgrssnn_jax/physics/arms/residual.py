@@ -2,8 +2,9 @@
 
     e = D⁻¹ (τ(q, q̇, drive(u)) - M q̈ - h)        D = ∂τ/∂u: motor torque, Nm; zero where the model is right
 
-What a step adds to the velocities after its torques have acted is subtracted from q̈: S q̇ / dt, say. drive(u) is
-assumed to be linear in u, and τ of a joint to depend on no other joint's drive. Samples are columns, `[n, batch]`.
+What a step adds to the velocities after its torques have acted, S times the velocity of the sample before, say, is
+divided by dt and subtracted from q̈. drive(u) is assumed to be linear in u, and τ of a joint to depend on no other
+joint's drive. Samples are columns, `[n, batch]`.
 """
 
 from functools import partial
@@ -21,8 +22,15 @@ def required_torque(points: ArmPoints, p: Any, dt: float, reading: Batch, v: Bat
     """M q̈ + h, Nm on the link side."""
     assert points.masses is not None
     q = jax.vmap(points.position, (None, 1), 1)(p, reading)
-    given = jax.vmap(partial(points.disturbance, p), (1, 1), 1)(state := jnp.concatenate([reading, v]), state)
-    return points.inverse(p, q, v, a - (given[len(v) :] - v) / dt, points.masses(p))
+    disturbed = jax.vmap(partial(points.disturbance, p), (1, 1), 1)
+
+    def added(before: Batch) -> Batch:
+        states = jnp.concatenate([reading - dt * v, before]), jnp.concatenate([reading, v])
+        return disturbed(*states)[len(v) :] - v
+
+    before = v - dt * a
+    before += added(before) / 2  # measured speeds are the mean of those before and after something is added
+    return points.inverse(p, q, v, a - added(before) / dt, points.masses(p))
 
 
 def torque_residual(points: ArmPoints, p: Any, required: Batch, reading: Batch, v: Batch, u: Batch) -> Batch:

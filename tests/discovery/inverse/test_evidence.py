@@ -37,13 +37,24 @@ def test_a_true_model_leaves_the_noise_of_the_torques(physics):
 
 
 def test_what_a_step_adds_to_a_velocity_is_no_work_of_the_torques(physics):
-    """S q̇ in every sample: the torque is that of the arm which accelerates by S q̇ / dt less."""
+    """Velocities jump by S times the one before in every sample; positions are read, and differences taken."""
     problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
-    samples, share = some(log(2)), np.linspace(-0.2, 0.2, KUKA.n)
-    theta = problem.put(problem.theta, "velocity_disturbance", {"S": share})
-    found = torques(problem).errors(theta, samples)
-    less = samples._replace(a=samples.a - share[:, None] * samples.v / DT)
-    np.testing.assert_allclose(found, torques(problem).errors(problem.theta, less), rtol=1e-9, atol=1e-9)
+    share, time = np.linspace(-0.2, 0.05, KUKA.n), DT * np.arange(41)[:, None]
+    pushed = np.sin(time * np.linspace(0.5, 1.0, KUKA.n) + np.arange(KUKA.n))  # rad/s²
+    q, v = np.zeros((42, KUKA.n)), np.zeros((42, KUKA.n))
+    for k, a in enumerate(pushed):
+        q[k + 1] = q[k] + DT * v[k] + DT**2 / 2 * a
+        v[k + 1] = v[k] + DT * a + share * v[k]
+    reading, speed = q[1:-1].T, (q[2:] - q[:-2]).T / (2 * DT)
+    found, true = np.diff(q, 2, axis=0).T / DT**2, (pushed[1:] + pushed[:-1]).T / 2
+    samples = some(log(2), 40)._replace(reading=reading, v=speed, torque=np.zeros_like(reading))
+
+    def errors(numbers, acceleration):
+        theta = problem.put(problem.theta, "velocity_disturbance", {"S": numbers})
+        return torques(problem).errors(theta, samples._replace(a=acceleration))
+
+    right, seen, not_seen = errors(0 * share, true), errors(share, found), errors(0 * share, found)
+    assert np.abs(seen - right).max() < 0.02 * np.abs(not_seen - right).max()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])
