@@ -22,7 +22,8 @@ from pgrssnn_jax.discovery.settings import Criteria
 
 _KNOWN = {"viscous_friction": "B", "coulomb_friction": "Tc"}  # effects whose law is that of a number of the physics
 _FINALISTS = 4
-_FALL = 0.1  # of the logarithm of the RMS error of the joint that gains most: less is not worth a name
+# Of the logarithm of the RMS error of the joint that gains most: less is not worth a name (docs: sensitivity).
+_FALL = 0.1
 Active = Mapping[str, Int[np.ndarray, " _"]]
 
 
