@@ -46,6 +46,7 @@ from pgrssnn_jax.records.record import Array, Record, Start
 from pgrssnn_jax.reports.discovered import Discovered
 from pgrssnn_jax.reports.ensemble import Ensemble
 from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.training.choose import choose_settings, settled
 from pgrssnn_jax.training.evaluation import trained_members
 from pgrssnn_jax.training.loop import Progress
 from pgrssnn_jax.training.plan import Plan, plan_training
@@ -80,36 +81,54 @@ def fit(
         L(θ) = Σ_t ((y_t - ŷ_t(θ)) / s_y)²,   ŷ a free run;   best parameters by validation error
 
     model: a variant (`pg_rssnn`, `rssnn`, `physics_only`, ...) or a `ModelSpec`. recipe: `experiment`, the settings of
-    the benchmark's experiment, `default`, or None: those of the benchmark that the record comes from, else the defaults
-    (`training/recipes.py`); a physics from a discovery is trained on as the commands do. seeds: how many, None: the
-    recipe's own; seed: the first. validation: None takes the part that came with the data, or the tail of train.
-    callback: called after every chunk of epochs; training stops when it returns True. settings: any of
+    the benchmark's experiment; `default`; `auto`, chosen on what members leave out of the record, with the physics
+    alone among the candidates (`training/choose.py`; settings that are given stay); None: `experiment` where the
+    record is a benchmark's, else `auto`. A physics from a discovery is trained on as the commands do. seeds: how many,
+    None: the recipe's own; seed: the first. validation: None takes the part that came with the data, or the tail of
+    train. callback: called after every chunk of epochs; training stops when it returns True. settings: any of
     `training/settings.py` by name (epochs=200, learning_rate=1e-3, initial_state="estimated", ...).
 
     Members that leave the floating-point range do not raise: they are failed, counted and named. Raises `ValueError`
     for records that do not fit the physics and for settings that cannot be.
     """
     keep_compiled()
-    chosen = _training(model, physics, train, recipe, {"seed": seed, "n_seeds": seeds, **settings})
-    plan = plan_training(physics, train, chosen, validation=validation)
-    stop = threading.Event()
+    given = {"seed": seed, "n_seeds": seeds, **settings}
+    recipe = recipe or (None if train.info.benchmark else "auto")
+    chosen = _training(model, physics, train, recipe, given)
+    stop, console, choice = threading.Event(), Console(quiet=quiet, highlight=False), None
+    if recipe == "auto":
+        held = given.keys() if isinstance(model, str) else {*given, *vars(model)}
+        choice = choose_settings(
+            physics, train, chosen, held,
+            validation=validation, stop=stop, notify=lambda line: console.print(line, soft_wrap=True),
+        )  # fmt: skip
+    plan = plan_training(physics, train, choice.settings if choice else chosen, validation=validation)
 
     def on_chunk(_: Any, __: Any, now: Progress) -> None:
         if callback is not None and callback(now):
             stop.set()
 
     first = first_checkpoint(plan)
-    done = train_members(plan, first, Console(quiet=quiet, highlight=False), stop, on_chunk)
-    return finished(plan, done.state, done.losses, done.seconds)
+    done = train_members(plan, first, console, stop, on_chunk)
+    seconds = {**({"choose": choice.seconds} if choice else {}), **done.seconds}
+    state, report = settled(plan, done.state, choice and choice.report())
+    return finished(plan, state, done.losses, seconds, recipe=report)
 
 
 def finished(
-    plan: Plan, state: Any, losses: Any, seconds: Mapping[str, float], labels: Mapping[str, str | None] | None = None
+    plan: Plan,
+    state: Any,
+    losses: Any,
+    seconds: Mapping[str, float],
+    *,
+    labels: Mapping[str, str | None] | None = None,
+    recipe: Mapping[str, Any] | None = None,
 ) -> Ensemble:
-    """The result of a training run; labels: names of the configuration's files, where there were any."""
+    """The result of a training run; labels: names of the configuration's files, where there were any; recipe: how its
+    settings were chosen."""
     return Ensemble(
         plan.settings, trained_members(plan, state), losses, plan.train.info,
-        n_train=plan.train.u.shape[2], seconds=seconds, plan=plan, labels=labels,
+        n_train=plan.train.u.shape[2], seconds=seconds, plan=plan, labels=labels, recipe=recipe,
     )  # fmt: skip
 
 
@@ -233,10 +252,12 @@ def _training(
     before: Mapping[str, Any] | None = None,
 ) -> TrainingSettings:
     """Defaults, `before`, the recipe's settings and those that were given (None: not), in this order."""
-    if recipe not in (None, "experiment", "default"):
-        raise ValueError(f"recipe: expected 'experiment', 'default' or None, found {recipe!r}")
+    if recipe not in (None, "auto", "experiment", "default"):
+        raise ValueError(f"recipe: expected 'auto', 'experiment', 'default' or None, found {recipe!r}")
     if recipe == "experiment" and not train.info.benchmark:
-        raise ValueError("recipe: expected None or 'default' for data that is no benchmark, found 'experiment'")
+        raise ValueError("recipe: expected None, 'auto' or 'default' for data that is no benchmark, found 'experiment'")
     own = DEFAULT if recipe == "default" else recipe_for(train.info.benchmark)
+    kept, _ = own.split(discovered=physics.discovered)
+    usual = kept if recipe == "auto" else own.settings(discovered=physics.discovered)
     named = {name: value for name, value in given.items() if name != "n_seeds" or value is not None}
-    return training_settings(model, before or {}, own.settings(discovered=physics.discovered), named)
+    return training_settings(model, before or {}, usual, named)

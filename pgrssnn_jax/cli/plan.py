@@ -23,8 +23,11 @@ from pgrssnn_jax.training.settings import DataSettings
 
 _KEYS = {
     "physics", "data", "model", "fit", "members", "accelerate",
-    "seed", "n_seeds", "initial_state", "n_init", "report_n_init", "resume",
+    "seed", "n_seeds", "initial_state", "n_init", "report_n_init", "resume", "recipe",
 }  # fmt: skip
+
+
+_OWN_DATA = ("csv", "arm_log")
 
 
 class Experiment(NamedTuple):
@@ -87,6 +90,8 @@ def incomplete_config(config: DictConfig) -> dict[str, Any]:
     found = OmegaConf.to_container(config, resolve=True, throw_on_missing=False)
     assert isinstance(found, dict)
     settings = {str(key): value for key, value in found.items() if key not in ("sweep", "budget")}
+    if settings.get("recipe") == "own" and "data" in settings:  # data of one's own: no recipe is known
+        settings["recipe"] = "auto" if settings["data"].get("name") in _OWN_DATA else "default"
     return capped(settings, found.get("budget") or {})
 
 

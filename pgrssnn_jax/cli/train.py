@@ -22,17 +22,26 @@ from pgrssnn_jax.cli.plan import Experiment, incomplete_config, load_experiment,
 from pgrssnn_jax.cli.process import Interrupted
 from pgrssnn_jax.cli.resume import override, resume_config, resumed_physics
 from pgrssnn_jax.effects.stored import physics_to_json
+from pgrssnn_jax.models.spec import VARIANTS
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.records.splits import by_dataset
 from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
 from pgrssnn_jax.reports.write import yaml_text
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
+from pgrssnn_jax.training.choose import choose_settings, settled
 from pgrssnn_jax.training.loop import Losses, losses_table, no_losses
 from pgrssnn_jax.training.members import keys_of, map_members
 from pgrssnn_jax.training.optimise import MemberState
 from pgrssnn_jax.training.plan import Plan, member_tests, plan_training
+from pgrssnn_jax.training.recipes import CHOSEN, DEFAULT, recipe_for
 from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, read_training_config, short_path
-from pgrssnn_jax.training.settings import settings_from_config
+from pgrssnn_jax.training.settings import (
+    changed,
+    differing,
+    settings_from_config,
+    settings_to_config,
+    training_settings,
+)
 from pgrssnn_jax.training.train import first_checkpoint, train_members
 
 
@@ -59,7 +68,7 @@ def prepare_training(config: DictConfig) -> Work:
     labels = {group: hydra.runtime.choices.get(group) for group in ("physics", "experiment", "budget")}
     seconds = {"load": time.perf_counter() - started}
     do = partial(
-        train_run, settings, plan, experiment.test, first, run, console, command=command, labels=labels, seconds=seconds
+        train_run, settings, plan, experiment, first, run, console, command=command, labels=labels, seconds=seconds
     )
     return Work(folder, do)
 
@@ -70,6 +79,30 @@ def plan_command(config: Mapping[str, Any], notify: Any) -> tuple[Experiment, Pl
     plan = plan_training(experiment.physics, experiment.train, settings_from_config(config))
     member_tests(plan.fit.objective, plan.members, plan.units, plan.settings.run.report_n_init, experiment.test)
     return experiment, plan
+
+
+def choose(
+    config: Mapping[str, Any], experiment: Experiment, stop: threading.Event, notify: Any
+) -> tuple[dict[str, Any], Plan, float]:
+    """The configuration and the plan with the settings that `recipe=auto` chooses, and the seconds that this took.
+    Raises `Interrupted` when stopped."""
+    given = settings_from_config(config)
+    discovered = experiment.physics.discovered
+    own = recipe_for(experiment.train.info.benchmark)
+    usual = training_settings(
+        given.name if given.name in VARIANTS else given.model, DEFAULT.settings(discovered=discovered)
+    )
+    kept = own.split(discovered=discovered)[0]
+    changes = {name: value for name, value in kept.items() if not differing(given, [name], usual)}
+    held = differing(given, CHOSEN, usual)
+    chosen = choose_settings(
+        experiment.physics, experiment.train, changed(given, changes), held, stop=stop, notify=notify
+    )
+    if chosen is None:
+        raise Interrupted("stopped while the settings were chosen; nothing was written")
+    said = settings_to_config(chosen.settings)
+    config = {**config, **said, "data": {**config["data"], **said["data"]}, "recipe": chosen.report()}
+    return config, plan_training(experiment.physics, experiment.train, chosen.settings), chosen.seconds
 
 
 def resumed(plan: Plan, run: RunFolder, test: Record) -> Checkpoint:
@@ -97,7 +130,7 @@ def _origins(plan: Plan, test: Record) -> dict[str, str]:
 def train_run(
     config: Mapping[str, Any],
     plan: Plan,
-    test: Record,
+    experiment: Experiment,
     first: Checkpoint | None,
     run: RunFolder,
     console: Console,
@@ -107,10 +140,14 @@ def train_run(
     seconds: dict[str, float],
     labels: Mapping[str, str | None] | None = None,
 ) -> None:
-    """Trains from `first`, or from fresh members; evaluates, reports. stop: ends training after the current chunk.
+    """Chooses settings where the recipe is `auto`, trains from `first`, or from fresh members; evaluates, reports.
+    stop: ends training after the current chunk.
 
     labels: names of the configuration's files. Raises `Interrupted` when stopped, after a checkpoint has been written.
     """
+    test = experiment.test
+    if config["recipe"] == "auto":
+        config, plan, seconds["choose"] = choose(config, experiment, stop, partial(console.print, soft_wrap=True))
     console.print(_headline(config, plan), soft_wrap=True)
     if first is None and run.finished:
         console.print(f"replacing the earlier run in {short_path(run.path)}", soft_wrap=True)
@@ -137,7 +174,10 @@ def train_run(
 
     plan = plan._replace(data=plan.data._replace(scaling=first.scaling))
     trained = train_members(plan, first, console, stop, on_chunk)
-    checkpoints.save(first._replace(state=trained.state, losses=trained.losses))
+    state, recipe = trained.state, None
+    if not trained.interrupted and isinstance(config["recipe"], Mapping):
+        state, recipe = settled(plan, trained.state, config["recipe"])
+    checkpoints.save(first._replace(state=state, losses=trained.losses))
     checkpoints.close()
     if trained.interrupted:
         run.write_csv("history.csv", losses_table(trained.losses, plan.members))
@@ -148,7 +188,7 @@ def train_run(
         )
     started = time.perf_counter()
     named = {**run.choices(), "data": config["data"]["name"]}
-    ensemble = finished(plan, trained.state, trained.losses, {**seconds, **trained.seconds}, named)
+    ensemble = finished(plan, state, trained.losses, {**seconds, **trained.seconds}, labels=named, recipe=recipe)
     found = ensemble.evaluate(test)
     found.metrics["seconds"] |= {"evaluate": time.perf_counter() - started}
     found.metrics["seconds"]["total"] += found.metrics["seconds"]["evaluate"]

@@ -5,6 +5,7 @@ scaled_zero   x_0 = 0 in the networks' units, that is the states' offset (the pu
 first_output  states that are `like` an output take its first measured value, the others 0
 estimated     training: x_0 is trained with the weights; validation: least squares on its first n_init samples, or
               none where it was measured right after the training record: the run goes on (`objective.py`)
+least_squares as estimated, but training begins at the least-squares x_0 of the physics alone over the whole record
 
 A test record that shares its initial state with the training record starts where the training record does; otherwise
 it starts from its own first output, or from the least-squares estimate over its first n_init samples alone.
@@ -34,15 +35,20 @@ class InitialState:
     """kind as above; n_init: first samples of a record from which its start is estimated; shared: the test record
     starts where the (first) training sequence does."""
 
-    kind: Literal["zero", "scaled_zero", "first_output", "estimated"] = "zero"
+    kind: Literal["zero", "scaled_zero", "first_output", "estimated", "least_squares"] = "zero"
     n_init: int = 0
     shared: bool = False
 
     def __post_init__(self) -> None:
         if self.n_init < 0:
             raise ValueError(f"n_init: expected 0 or more samples, found {self.n_init}")
-        if self.kind == "estimated" and self.n_init == 0:
-            raise ValueError("n_init: expected at least 1 sample for initial_state=estimated, found 0")
+        if self.trained and self.n_init == 0:
+            raise ValueError(f"n_init: expected at least 1 sample for initial_state={self.kind}, found 0")
+
+    @property
+    def trained(self) -> bool:
+        """Is the start of the training sequences trained with the weights?"""
+        return self.kind in ("estimated", "least_squares")
 
 
 def start_state(model: Model, params: ModelParams, record: Record, initial: InitialState) -> Float[jax.Array, "seq x"]:
@@ -53,7 +59,9 @@ def start_state(model: Model, params: ModelParams, record: Record, initial: Init
         offset = jnp.asarray(params.scaling.x.offset, record.u.dtype)
         return jnp.broadcast_to(offset, (record.u.shape[0], model.n_x))
     guess = first_output_states(model, record)
-    return guess if initial.kind == "first_output" else _estimate(model, params, record, initial.n_init, guess)
+    return (
+        guess if initial.kind == "first_output" else least_squares_states(model, params, record, initial.n_init, guess)
+    )
 
 
 def first_output_states(model: Model, record: Record) -> Float[jax.Array, "seq x"]:
@@ -65,7 +73,9 @@ def first_output_states(model: Model, record: Record) -> Float[jax.Array, "seq x
     return jnp.asarray(first_output_state(model.physics, y, jnp.asarray(record.u)[:, 0]))
 
 
-def _estimate(model: Model, params: ModelParams, record: Record, n_init: int, guess: jax.Array) -> jax.Array:
+def least_squares_states(
+    model: Model, params: ModelParams, record: Record, n_init: int, guess: jax.Array
+) -> Float[jax.Array, "seq x"]:
     """Least-squares x_0 per sequence from its first n_init samples; the guess stands where nothing better is found."""
     scaling = params.scaling
 

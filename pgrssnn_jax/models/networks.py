@@ -89,3 +89,15 @@ class Networks(nnx.Module):
 
     def g_nn(self, x: Float[jax.Array, "*batch x"], u: Float[jax.Array, "*batch u"]) -> jax.Array:
         return self.head_y(self.features_x(jnp.concatenate([u, x], -1)))
+
+
+def scaled_heads(network: Any, factor_x: Any, factor_y: Any) -> Any:
+    """The weights of `Networks` with f_nn multiplied by factor_x and g_nn by factor_y."""
+
+    def scaled(path: Any, weight: jax.Array) -> jax.Array:
+        names = jax.tree_util.keystr(path)
+        if "first" in names:
+            return weight
+        return weight * factor_x if "head_x" in names else weight * factor_y if "head_y" in names else weight
+
+    return jax.tree_util.tree_map_with_path(scaled, network)

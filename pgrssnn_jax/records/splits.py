@@ -1,6 +1,7 @@
 """Which part of an estimation record validates: a record of its own, its tail, or blocks that members take in turn.
 
     sample t trains member m where floor(t / block) mod folds ≠ seed(m) mod folds, and validates it elsewhere
+    (of sequence s: (floor(t / block) + s) mod folds; where sequences are many, s mod folds)
 
 In k-fold cross-validation across members all members predict the whole record; only the masks differ. Nothing of the
 record is lost to the ensemble, and early stopping sees every part of it, also where a physics has been fitted to it.
@@ -19,37 +20,49 @@ _TAIL = 4  # one part in so many of a record validates where nothing else is sai
 
 
 def kfold_masks(
-    train: Record, validation: Record, seeds: Sequence[int], folds: int, block: int = 32
+    train: Record, validation: Record, seeds: Sequence[int], folds: int, block: int = 32, *, one_record: bool = False
 ) -> tuple[Record, Record]:
     """The records of members `[member, seq, time, channel]` with masks by their seeds.
 
-    folds: how many members share a record between them; block: samples that are set aside together. Raises `ValueError`
-    where the two records are not one run, or too short for every fold to have a block, or have no measured sample in a
-    fold.
+    folds: how many members share a record between them; block: samples that are set aside together; of a record with at
+    least `folds` sequences, whole sequences are. one_record: the validation record was cut from the training record. A
+    validation record that is a later part of the same measurement, with a gap before it, is never trained on. Raises
+    `ValueError` where the two records are not one, or too short for every fold to have a block, or have no measured
+    sample in a fold.
     """
     if folds < 2:
         raise ValueError(f"data.folds: expected 0 (the split of the data) or at least 2, found {folds}")
     check_count("data.block", block, 1, 10**9, "samples")
-    runs = []
+    runs, later = [], False
     for member in range(len(train.u)):
         first, second = take(train, member), take(validation, member)
-        if not continues(first, second):
+        later = is_later(first, second)
+        if not (one_record or later or continues(first, second)):
             raise ValueError("data.folds: expected 0 where validation does not go on right after training, in one run")
         runs.append(join(first, second))
     whole = stack(runs)
-    time = whole.u.shape[2]
-    if time < folds * block:
+    n_seq, time = whole.u.shape[1:3]
+    trained = n_seq - 1 if later else n_seq  # sequences that are trained on by some member
+    samples = train.u.shape[2] if later else time
+    if trained < folds and samples < folds * block:
         raise ValueError(
-            f"data.folds: expected at least folds x block = {folds * block} samples to share, found {time}"
+            f"data.folds: expected at least folds x block = {folds * block} samples to share, found {samples}"
         )
-    fold = np.arange(time) // block % folds
-    aside = fold == np.asarray(seeds)[:, None] % folds
-    aside = aside[:, None, :, None]
+    sequence, sample = np.arange(n_seq)[:, None], np.arange(time)[None]
+    fold = (np.where(trained >= folds, 0, sample // block) + sequence) % folds
+    aside = fold == np.asarray(seeds)[:, None, None] % folds
+    aside = (aside | (sequence >= trained))[..., None]
     seen, kept_back = (np.asarray(whole.mask) & which for which in (~aside, aside))
     for name, mask in (("train", seen), ("validate", kept_back)):
         if not mask.any((1, 2, 3)).all():
             raise ValueError(f"data.folds: expected measured samples to {name} on in every fold, found one with none")
     return whole._replace(mask=seen), whole._replace(mask=kept_back, info=replace(whole.info, same_run=True))
+
+
+def is_later(first: Record, second: Record) -> bool:
+    """Is the second record, of one sequence, a later part of the measurement of the first, with a gap between them?"""
+    same = replace(first.info, begins=0) == replace(second.info, begins=0)
+    return len(first.u) == len(second.u) == 1 and same and second.info.begins > first.info.begins + first.u.shape[1]
 
 
 def by_dataset(whole: Record) -> Record:

@@ -52,11 +52,13 @@ class Ensemble:
         seconds: Mapping[str, float],
         plan: Plan | None = None,
         labels: Mapping[str, str | None] | None = None,
+        recipe: Mapping[str, Any] | None = None,
     ) -> None:
         """info: of the training record; n_train: samples per training sequence; plan: with the data of training, None
-        after loading; labels: names of the configuration's files."""
+        after loading; labels: names of the configuration's files; recipe: how `recipe=auto` chose the settings."""
         self.settings, self.trained, self.losses, self.info = settings, trained, losses, info
         self.n_train, self.seconds, self.plan, self.labels = n_train, dict(seconds), plan, labels or {}
+        self.recipe = recipe
         self._evaluated: Evaluated | None = None
 
     @property
@@ -129,6 +131,7 @@ class Ensemble:
             "source": info.source,
             "origin": info.origin,
             "n_init": tests.n_inits[0],
+            "recipe": self.recipe,
             "n_train": self.n_train,
             "dt": self.physics.dt,
             "outputs": [channel._asdict() for channel in measured.info.outputs],
@@ -194,7 +197,9 @@ class Ensemble:
         config: dict[str, Any] = settings_to_config(self.settings)
         shared = {"name": self.info.benchmark or "record", "shared_initial_state": self.info.start == "shared"}
         physics = {**physics_to_json(self.physics)["physics"], "effects": None}
-        return yaml_text({"physics": physics, **config, "data": {**shared, **config["data"]}, "resume": None})
+        return yaml_text(
+            {"physics": physics, **config, "data": {**shared, **config["data"]}, "resume": None, "recipe": self.recipe}
+        )
 
     def finish(self, run: RunFolder, found: Evaluated | None) -> None:
         """History, predictions, figures of merit and page; without a test record only the history. DONE comes last."""

@@ -78,7 +78,20 @@ def load(
     inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
     info = RecordInfo(inputs, outputs, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
     seconds = {name: value for name, value in metrics.get("seconds", {}).items() if name != "total"}
-    return Ensemble(settings, trained, found.losses, info, n_train=metrics.get("n_train", 0), seconds=seconds)
+    return Ensemble(
+        settings,
+        trained,
+        found.losses,
+        info,
+        n_train=metrics.get("n_train", 0),
+        seconds=seconds,
+        recipe=_recipe(config),
+    )
+
+
+def _recipe(config: Mapping[str, Any]) -> Mapping[str, Any] | None:
+    recipe = config.get("recipe")
+    return recipe if isinstance(recipe, Mapping) else None
 
 
 def stored_in(run: RunFolder, config: Mapping[str, Any]) -> dict[str, Any]:

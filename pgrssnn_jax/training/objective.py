@@ -18,8 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from pgrssnn_jax.models.initial_state import InitialState, first_output_states, start_state
+from pgrssnn_jax.models.initial_state import InitialState, first_output_states, least_squares_states, start_state
 from pgrssnn_jax.models.model import Model, ModelParams
+from pgrssnn_jax.models.networks import scaled_heads
 from pgrssnn_jax.models.radial import scarcity, surrogate_points
 from pgrssnn_jax.models.rollout import Route, Trajectory, rollout
 from pgrssnn_jax.physics.base import is_parameter
@@ -36,13 +37,29 @@ class Trainable(NamedTuple):
     x0: Any
 
 
+class Choice(NamedTuple):
+    """Settings of one member as numbers, so that one program trains members that differ in them. correction: f_nn is
+    multiplied by it; networks: 0 where the physics stands alone, else 1; the others as in `settings.py` and `spec.py`,
+    with `physics_trained` and `start_trained` (x_0 of the training sequences) true or false."""
+
+    correction: Float[Array, ""]
+    networks: Float[Array, ""]
+    start_from_physics: Bool[Array, ""]
+    learning_rate: Float[Array, ""]
+    patience: Int[Array, ""]
+    physics_trained: Bool[Array, ""]
+    start_trained: Bool[Array, ""]
+
+
 class MemberData(NamedTuple):
-    """What stays fixed for one member: its records and scaling, and the epoch at which training ends at the latest."""
+    """What stays fixed for one member: its records and scaling, and the epoch at which training ends at the latest.
+    choice: its own settings, None where all members share those of the fit."""
 
     train: Record
     validation: Record
     scaling: Scaling
     last_epoch: Int[Array, ""]
+    choice: Choice | None = None
 
 
 class Loss(NamedTuple):
@@ -77,16 +94,40 @@ class Objective(NamedTuple):
         """θ before training: fresh weights, nominal physics, training sequences started at their first outputs."""
         physics = jax.tree.map(jnp.zeros_like, self.physics.nominal) if self.train_physics else None
         x0 = None
-        if self.initial.kind == "estimated":
-            x0 = data.scaling.x.to_scaled(first_output_states(self.model, data.train))
-        return Trainable(self.model.init(key), physics, x0)
+        network = self.model.init(key)
+        if self.initial.trained or data.choice is not None:
+            x0 = data.scaling.x.to_scaled(self._first_states(network, data))
+        if data.choice is not None:
+            drawn = jnp.where(data.choice.start_from_physics, 0.0, 1.0)
+            network = scaled_heads(network, drawn, drawn)
+        return Trainable(network, physics, x0)
 
-    def assemble(self, theta: Trainable, scaling: Scaling) -> ModelParams:
+    def _first_states(self, network: Any, data: MemberData) -> Float[jax.Array, "seq x"]:
+        """x_0 of the training sequences before training."""
+        guess, trained, nominal = first_output_states(self.model, data.train), data.choice, self.physics.nominal
+        if self.initial.kind == "estimated":
+            return guess
+        params = ModelParams(scaled_heads(network, 0.0, 0.0), nominal, data.scaling)
+        fitted = guess
+        if self.model.physics.differentiable and self.model.spec.guided:
+            fitted = least_squares_states(self.model, params, data.train, data.train.u.shape[1], guess)
+        if trained is None:
+            return fitted
+        return jnp.where(trained.start_trained, fitted, start_state(self.model, params, data.train, self.initial))
+
+    def alone(self, theta: Trainable, data: MemberData) -> Trainable:
+        """θ of the physics alone: heads that give zero, nominal parameters, and the starts before training."""
+        begun = self.begin(jax.random.key(0), data)
+        return begun._replace(network=scaled_heads(theta.network, 0.0, 0.0))
+
+    def assemble(self, theta: Trainable, scaling: Scaling, choice: Choice | None = None) -> ModelParams:
         """The numbers of a rollout."""
-        physics = self.physics.nominal
+        physics, network = self.physics.nominal, theta.network
         if theta.physics is not None:
             physics = jax.tree.map(lambda p, s, z: p + s * z, physics, self.physics.size, theta.physics)
-        return ModelParams(theta.network, physics, scaling)
+        if choice is not None:
+            network = scaled_heads(network, choice.networks * choice.correction, choice.networks)
+        return ModelParams(network, physics, scaling)
 
     def within_bounds(self, theta: Trainable) -> Trainable:
         """θ with every physics parameter inside its bounds, and at its nominal value if it may not move."""
@@ -102,7 +143,7 @@ class Objective(NamedTuple):
         return theta._replace(physics=moved)
 
     def on_train(self, theta: Trainable, data: MemberData) -> Loss:
-        params = self.assemble(theta, data.scaling)
+        params = self.assemble(theta, data.scaling, data.choice)
         predicted = self._predicted(params, data.train, self._train_state(theta, params, data))
         loss = _loss(params, data.train, predicted)
         if not (self.model.spec.regularisation and self.model.spec.guided):
@@ -110,16 +151,16 @@ class Objective(NamedTuple):
         return loss._replace(total=loss.total + self._penalty(params, data.train, predicted.x))
 
     def on_validation(self, theta: Trainable, data: MemberData) -> Loss:
-        return _loss(self.assemble(theta, data.scaling), data.validation, self.validate(theta, data))
+        return _loss(self.assemble(theta, data.scaling, data.choice), data.validation, self.validate(theta, data))
 
     def validate(self, theta: Trainable, data: MemberData) -> Trajectory:
         """The free run over the validation record. One that is the training record with other samples measured starts
         as that does. Where starts are estimated, one that was measured right after the training record needs none: the
         run over the training record goes on."""
-        params, record = self.assemble(theta, data.scaling), data.validation
+        params, record = self.assemble(theta, data.scaling, data.choice), data.validation
         if record.info.same_run:
             return self._predicted(params, record, self._train_state(theta, params, data))
-        if self.initial.kind != "estimated" or not continues(data.train, record):
+        if not self.initial.trained or not continues(data.train, record):
             return self._predicted(params, record, start_state(self.model, params, record, self.initial))
         before = data.train.u.shape[1]
         u = jnp.concatenate([jnp.asarray(data.train.u), jnp.asarray(record.u)], 1)
@@ -128,7 +169,7 @@ class Objective(NamedTuple):
 
     def trained_start(self, theta: Trainable, data: MemberData) -> Float[Array, " x"]:
         """x_0 of the first training sequence."""
-        return self._train_state(theta, self.assemble(theta, data.scaling), data)[0]
+        return self._train_state(theta, self.assemble(theta, data.scaling, data.choice), data)[0]
 
     def test_state(
         self, theta: Trainable, scaling: Scaling, start: Float[Array, " x"], test: Record

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Bool, Float, Int
 
-from pgrssnn_jax.training.objective import Loss, MemberData, Objective, Trainable
+from pgrssnn_jax.training.objective import Choice, Loss, MemberData, Objective, Trainable
 from pgrssnn_jax.training.settings import FitSettings
 
 
@@ -107,7 +107,8 @@ class Fit(NamedTuple):
             return loss.total, loss
 
         gradient, loss = jax.grad(objective, has_aux=True)(state.theta)
-        optimizer = build_optimizer(self.settings, state.rollbacks)
+        gradient = _of_moving(gradient, data.choice)
+        optimizer = build_optimizer(self.settings, state.rollbacks, data.choice)
         updates, optimizer = optimizer.update(gradient, state.optimizer, state.theta)
         moved: Any = optax.apply_updates(state.theta, updates)
         theta = self.objective.within_bounds(moved)
@@ -127,7 +128,8 @@ class Fit(NamedTuple):
         best, best_loss, best_epoch = _choose(
             better, (state.theta, loss.mean, state.epoch), (state.best, state.best_loss, state.best_epoch)
         )
-        overdue = state.epoch - best_epoch >= self.settings.patience
+        patience = self.settings.patience if data.choice is None else data.choice.patience
+        overdue = state.epoch - best_epoch >= patience
         ended = jnp.where(overdue, MemberStatus.STOPPED_EARLY, MemberStatus.TRAINING).astype(jnp.int32)
         outcome = _outcome(loss)
         state = state._replace(best=best, best_loss=best_loss, best_epoch=best_epoch)
@@ -148,9 +150,22 @@ class Fit(NamedTuple):
         )
 
 
-def build_optimizer(settings: FitSettings, rollbacks: Int[Array, ""] | int = 0) -> optax.GradientTransformation:
+def _of_moving(gradient: Trainable, choice: Choice | None) -> Trainable:
+    """A gradient that is zero for what a member of that choice does not train."""
+    if choice is None:
+        return gradient
+    moving = Trainable(True, choice.physics_trained, choice.start_trained)
+    return Trainable(
+        *(jax.tree.map(lambda g, m=m: jnp.where(m, g, 0.0), part) for part, m in zip(gradient, moving, strict=True))
+    )
+
+
+def build_optimizer(
+    settings: FitSettings, rollbacks: Int[Array, ""] | int = 0, choice: Choice | None = None
+) -> optax.GradientTransformation:
     """The optimizer of a member that went back `rollbacks` times: learning rate / 2^rollbacks."""
-    learning_rate = settings.learning_rate / (1 << rollbacks)
+    first: Any = settings.learning_rate if choice is None else choice.learning_rate
+    learning_rate = first / (1 << rollbacks)
     if settings.optimizer == "adam":
         update = optax.adam(learning_rate)
     else:

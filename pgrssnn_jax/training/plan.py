@@ -61,13 +61,14 @@ def plan_training(
     train = matched(train, physics.inputs, physics.outputs, physics.dt, where="data: train")
     if validation is not None:
         validation = matched(validation, physics.inputs, physics.outputs, physics.dt, where="data: validation")
+    one_record = validation is None and train.validation is None
     fitted, aside = estimation_parts(train, validation)
     if settings.data.window is not None:
         fitted = cut_windows(fitted, settings.data.window)
     fit = plan_fit(physics, settings, shared=train.info.start == "shared")
     model, initial = fit.objective.model, fit.objective.initial
     for name, record in (("train", fitted), ("validation", aside)):
-        check_record(name, record, initial, physics)
+        check_record(name, record, initial, physics, searched=name != "train" and not settings.data.folds)
     # Published scaling concerns the networks alone where some state is the rate of an output, and puts rates into the
     # units of their outputs (the arm); elsewhere the physics itself acts on standardised signals (LGSSM).
     has_rates = any(measured_rate(physics, state) for state in physics.states)
@@ -75,14 +76,15 @@ def plan_training(
     standardised = settings.data.published_scaling and not has_rates
     units = (standard_units if standardised else measured_units)(fitted)
     own, other = ((in_units(r, units) if standardised else r) for r in (fitted, aside))
-    members = _members(settings, len(fitted.u), seeds_differ=model.graph is not None)
+    differ = model.graph is not None or (settings.data.folds > 0 and fit.objective.train_physics)
+    members = _members(settings, len(fitted.u), seeds_differ=differ)
     datasets = np.array([member.dataset for member in members])
     scalings = [model_scaling(model, take(own, i), rates_like_outputs=rates_like_outputs) for i in range(len(fitted.u))]
     scaling = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
-    own, other = (cast(record, np.float32) for record in _per_member(own, other, members, settings))
+    own, other = (cast(record, np.float32) for record in _per_member(own, other, members, settings, one_record))
     data = MemberData(own, other, scaling, np.full(len(members), settings.fit.epochs, np.int32))
     mapping = member_mapping(settings.members, len(members), data.train.u.shape[1], accelerate=settings.run.accelerate)
-    _, measured = _per_member(fitted, aside, members, settings)
+    _, measured = _per_member(fitted, aside, members, settings, one_record)
     own_units = jax.tree.map(lambda a: a[datasets], units)
     return Plan(settings, fit, mapping, members, fitted, measured, data, own_units)
 
@@ -91,8 +93,8 @@ def plan_fit(physics: Physics, settings: TrainingSettings, *, shared: bool) -> F
     """Model and objective, without data; shared: the test record starts where the training record does."""
     initial = InitialState(settings.run.initial_state, settings.run.n_init, shared)
     train_physics = settings.fit.physics_parameters == "trained"
-    if not physics.differentiable and (train_physics or initial.kind == "estimated"):
-        what = "fit.physics_parameters=trained" if train_physics else "initial_state=estimated"
+    if not physics.differentiable and (train_physics or initial.trained):
+        what = "fit.physics_parameters=trained" if train_physics else f"initial_state={initial.kind}"
         raise ValueError(
             f"physics.physics_gradient: expected full with {what}, which needs the gradient, found stopped"
         )
@@ -132,8 +134,9 @@ def member_mapping(chosen: MemberSettings, n_members: int, n_sequences: int, *, 
     return mapping
 
 
-def check_record(name: str, record: Record, initial: InitialState, physics: Physics) -> None:
-    """Raises `ValueError` for values that no float32 holds or no unit explains, and for too few samples."""
+def check_record(name: str, record: Record, initial: InitialState, physics: Physics, *, searched: bool = True) -> None:
+    """Raises `ValueError` for values that no float32 holds or no unit explains, and for too few samples; searched: is
+    its start found from its first samples, where starts are estimated?"""
     time = record.u.shape[2]
     mask = np.asarray(record.mask)
     if not mask.any():
@@ -143,7 +146,7 @@ def check_record(name: str, record: Record, initial: InitialState, physics: Phys
     for signal in (record.u, np.where(mask, record.y, 0.0)):
         if (largest := np.abs(signal).max()) > _LARGEST:
             raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
-    if initial.kind == "estimated" and time <= initial.n_init:
+    if searched and initial.trained and time <= initial.n_init:
         raise ValueError(f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}")
 
 
@@ -158,26 +161,27 @@ def check_range(where: str, signal: Signal, values: np.ndarray) -> None:
 
 
 def _members(settings: TrainingSettings, n_datasets: int, *, seeds_differ: bool) -> list[Member]:
-    """Every dataset with every seed; one seed without networks, because nothing else is drawn."""
+    """Every dataset with every seed; one seed where members of several would be the same."""
     count = settings.run.n_seeds if seeds_differ else 1
     return [Member(settings.run.seed + i, dataset) for dataset in range(n_datasets) for i in range(count)]
 
 
 def _per_member(
-    train: Record, validation: Record, members: list[Member], settings: TrainingSettings
+    train: Record, validation: Record, members: list[Member], settings: TrainingSettings, one_record: bool
 ) -> tuple[Record, Record]:
     datasets = np.array([member.dataset for member in members])
     train, validation = take(train, datasets), take(validation, datasets)
     if not settings.data.folds:
         return train, validation
     seeds = [member.seed for member in members]
-    return kfold_masks(train, validation, seeds, settings.data.folds, settings.data.block)
+    folds, block = settings.data.folds, settings.data.block
+    return kfold_masks(train, validation, seeds, folds, block, one_record=one_record)
 
 
 def _windows_to_report(initial: InitialState, wanted: Sequence[int], test: Record) -> list[int]:
     """Test samples from which the initial state was found never count in the main figure."""
     time = test.u.shape[2]
-    used = 0 if initial.shared else {"first_output": 1, "estimated": initial.n_init}.get(initial.kind, 0)
+    used = 0 if initial.shared else initial.n_init if initial.trained else int(initial.kind == "first_output")
     windows = list(dict.fromkeys(max(n, used) for n in wanted if max(n, used) < time))
     if not windows:
         raise ValueError(

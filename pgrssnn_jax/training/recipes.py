@@ -8,6 +8,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+#: settings that `recipe=auto` chooses (`training/choose.py`), unless they are given
+CHOSEN = (
+    *("correction", "start_from_physics", "networks", "learning_rate", "physics_parameters"),
+    *("patience", "initial_state", "folds", "block"),
+)
+
 
 class Recipe(NamedTuple):
     """Settings by name; after_discovery: those that change where the physics comes from a discovery."""
@@ -17,6 +23,12 @@ class Recipe(NamedTuple):
 
     def settings(self, *, discovered: bool) -> dict[str, Any]:
         return {**self.changes, **(self.after_discovery if discovered else {})}
+
+    def split(self, *, discovered: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The settings that `recipe=auto` keeps (size of the networks, epochs, seeds), and those that it chooses."""
+        whole = self.settings(discovered=discovered)
+        kept = {name: value for name, value in whole.items() if name not in CHOSEN}
+        return kept, {name: value for name, value in whole.items() if name in CHOSEN}
 
 
 #: for data and physics of one's own: training begins at the physics that discovery has fitted

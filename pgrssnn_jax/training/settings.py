@@ -5,14 +5,14 @@ Source of the published values: Li, Seth, Kok, IFAC 2026, and the authors' relea
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, NamedTuple
 
 from pgrssnn_jax.models.spec import ModelSpec, variant_changes
 from pgrssnn_jax.records.arguments import call_with
 
-InitialStateKind = Literal["zero", "scaled_zero", "first_output", "estimated"]
+InitialStateKind = Literal["zero", "scaled_zero", "first_output", "estimated", "least_squares"]
 Guard = Literal["none", "rollback"]
 ROLLBACKS = 5  # the step is then 1/32 of the first: a member that still leaves the range does so whatever the step
 
@@ -125,6 +125,14 @@ def training_settings(model: str | ModelSpec, *changes: Mapping[str, Any]) -> Tr
     return _checked(name, given)
 
 
+def changed(settings: TrainingSettings, changes: Mapping[str, Any]) -> TrainingSettings:
+    """The settings with `changes` by name. Raises `ValueError` as `training_settings`."""
+    given = {group: asdict(getattr(settings, group)) for group in GROUPS}
+    for key, value in changes.items():
+        given[GROUP_OF[key]][key] = value
+    return _checked(settings.name, given)
+
+
 def settings_from_config(config: Mapping[str, Any], where: str = "configuration") -> TrainingSettings:
     """The settings of a configuration, in which those of a run stand at the top level and those of data beside the
     arguments of the loader. Old spellings are taken with a warning. where: the file, for messages. Raises `ValueError`
@@ -147,6 +155,12 @@ def settings_from_config(config: Mapping[str, Any], where: str = "configuration"
 
 def _those_of(kind: type, group: Mapping[str, Any]) -> dict[str, Any]:
     return {field.name: group[field.name] for field in fields(kind) if field.name in group}
+
+
+def differing(settings: TrainingSettings, names: Collection[str], usual: TrainingSettings) -> list[str]:
+    """Those of `names` whose settings are not the usual ones."""
+    found = {name: getattr(getattr(settings, GROUP_OF[name]), name) for name in names}
+    return [name for name, value in found.items() if value != getattr(getattr(usual, GROUP_OF[name]), name)]
 
 
 def settings_to_config(settings: TrainingSettings) -> dict[str, Any]:

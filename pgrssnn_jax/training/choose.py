@@ -1,0 +1,265 @@
+"""`recipe=auto`: settings chosen on what members leave out, then trained with as if they had been given.
+
+    score(settings) = mean over members of min over epochs of E(m),   E(m): mean squared scaled error of member m on
+                      the blocks that it leaves out
+
+Every member leaves out other blocks of the estimation record, so that together they leave out all of it
+(`records/splits.py`); a validation record of its own is left out by all. The candidates are trained one after another
+by one program, in rounds: after a twentieth of the epochs the best third goes on, and so again, until the best after
+three tenths is chosen. The physics alone needs no training. Others replace it only if they beat it clearly: by more
+than one standard error of the members' differences (Breiman, Friedman, Olshen, Stone, Classification and Regression
+Trees, 1984, section 3.4.3). Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification,
+AISTATS 2016.
+"""
+
+import math
+import threading
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.record import Record, continues
+from pgrssnn_jax.records.splits import is_later
+from pgrssnn_jax.training.candidates import candidates, choice_of, shared_settings
+from pgrssnn_jax.training.members import jit_members, keys_of, repeat
+from pgrssnn_jax.training.objective import MemberData
+from pgrssnn_jax.training.optimise import MemberState
+from pgrssnn_jax.training.plan import Plan, plan_training
+from pgrssnn_jax.training.recipes import recipe_for
+from pgrssnn_jax.training.settings import TrainingSettings, changed
+
+SCORE = "left-out NRMSE"
+_ROUNDS = (0.05, 0.15, 0.3)  # of the epochs
+_KEEP = 3  # one candidate of so many goes on to the next round
+_GAIN = 0.1  # of the mean squared error: less is not worth what networks may do outside the range of the record
+_LARGE = 1e9  # squared scaled error
+_FOLDS = (5, 10)  # least and most
+_TRYING = 5  # members, at most, that try a candidate where all leave out the same record
+_BLOCK = 32  # samples
+_PATIENCE = 0.5  # of the epochs: corrections may rest on a plateau before they find their way (`_TANKS` in recipes.py)
+
+
+class Tried(NamedTuple):
+    """Settings and the errors of every member on what it left out, mean squared and scaled, before training and after
+    every validation: curves `[member, validation]`; epochs: of training."""
+
+    settings: TrainingSettings
+    curves: np.ndarray
+    epochs: int
+
+    @property
+    def score(self) -> float:
+        """Every member at its own best epoch, as it is kept in the end."""
+        return float(np.mean(np.min(self.curves, axis=1)))
+
+    @property
+    def left_out(self) -> np.ndarray:
+        """`[member]`: every member at the epoch that is best for the others, so that what it leaves out has no part in
+        the choice of the epoch."""
+        if len(self.curves) == 1:
+            return np.min(self.curves, axis=1)
+        others = self.curves.sum(0) - self.curves
+        return self.curves[np.arange(len(others)), np.argmin(others, axis=1)]
+
+
+class Chosen(NamedTuple):
+    """settings: to train with; tried: all candidates, the chosen one first; seconds: that this took."""
+
+    settings: TrainingSettings
+    tried: list[Tried]
+    seconds: float
+
+    def report(self) -> dict[str, Any]:
+        """What `metrics.json` and `config.yaml` say of the choice."""
+        tried = [
+            {
+                "settings": describe(t.settings),
+                "left_out_nrmse": math.sqrt(t.score),
+                "left_out_nrmse_others_epoch": math.sqrt(np.mean(t.left_out)),
+                "epochs": t.epochs,
+            }
+            for t in self.tried
+        ]
+        return {"name": "auto", "chosen": tried[0]["settings"], "score": SCORE, "tried": tried}
+
+
+def choose_settings(
+    physics: Physics,
+    train: Record,
+    settings: TrainingSettings,
+    held: Collection[str],
+    *,
+    validation: Record | None = None,
+    stop: threading.Event,
+    notify: Callable[[str], None],
+) -> Chosen | None:
+    """settings: the defaults with those that were given; held: the names of the latter, which stay as they are. None
+    when stopped. Raises `ValueError` as `plan_training`."""
+    started = time.perf_counter()
+    usual = recipe_for(train.info.benchmark).split(discovered=physics.discovered)[1]
+    follows = _of_record(train, validation, settings, usual)
+    settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
+    among = candidates(settings, physics, held, usual, starts=settings.data.folds > 0 and physics.differentiable)
+    tried = _race(physics, train, validation, settings, among, stop, notify)
+    if stop.is_set():
+        return None
+    best = _clearly_better(tried)
+    tried = sorted(tried, key=lambda one: (one is not best, one.score))
+    alone = min((one for one in tried if is_alone(one.settings)), key=lambda one: one.score, default=best)
+    beside = "" if alone is best else f" (physics alone {math.sqrt(alone.score):.3g})"
+    notify(f"recipe=auto: {describe(best.settings)}; {SCORE} {math.sqrt(best.score):.3g}{beside}")
+    return Chosen(best.settings, tried, time.perf_counter() - started)
+
+
+def _of_record(
+    train: Record, validation: Record | None, settings: TrainingSettings, usual: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Settings that follow from the record alone: its folds and blocks, where it starts, how long to wait."""
+    aside = train.validation if validation is None else validation
+    n_seq, samples = train.u.shape[-3:-1]
+    usual_start = usual.get("initial_state", "zero" if train.info.start == "rest" else "first_output")
+    follows: dict[str, Any] = {
+        "patience": max(1, int(_PATIENCE * settings.fit.epochs)),
+        "initial_state": "first_output" if usual_start in ("estimated", "least_squares") else usual_start,
+    }
+    first, second = (None if r is None else _first(r) for r in (train, aside))
+    whole = second is None or (first is not None and (continues(first, second) or is_later(first, second)))
+    if not whole or settings.data.window is not None:
+        return follows
+    if second is not None and first is not None and continues(first, second):
+        samples += second.u.shape[-2]
+    folds = min(max(settings.run.n_seeds, _FOLDS[0]), _FOLDS[1])
+    if n_seq < folds:
+        folds = max(2, min(folds, samples // 2))
+    return {**follows, "folds": folds, "block": max(1, min(_BLOCK, samples // folds))}
+
+
+def _first(record: Record) -> Record:
+    """The first dataset."""
+    return record if record.u.ndim == 3 else jax.tree.map(lambda a: a[0], record._replace(validation=None))
+
+
+def _race(
+    physics: Physics,
+    train: Record,
+    validation: Record | None,
+    settings: TrainingSettings,
+    among: Sequence[TrainingSettings],
+    stop: threading.Event,
+    notify: Callable[[str], None],
+) -> list[Tried]:
+    """Every candidate with its errors after the last round that it took part in."""
+    members = settings.data.folds or settings.run.n_seeds
+    shared = changed(shared_settings(settings, among), {"n_seeds": members, "patience": settings.fit.epochs})
+    plan = _smaller(plan_training(physics, train, shared, validation=validation))
+    choices = [plan.data._replace(choice=repeat(choice_of(one), len(plan.members))) for one in among]
+    begin, keys = jit_members(plan.fit.begin, plan.mapping), keys_of(plan.members)
+    states: list[MemberState] = [begin(keys, data) for data in choices]
+    curves = [_finite(state.best_loss)[:, None] for state in states]
+    advance = jit_members(plan.fit.advance, plan.mapping).lower(states[0], choices[0]).compile()
+    per_call = plan.fit.settings.blocks * plan.fit.settings.validate_every
+    trained, going = [0] * len(among), list(range(len(among)))
+    for share in _ROUNDS:
+        epochs = max(1, math.ceil(share * settings.fit.epochs))
+        ends = jnp.full(len(plan.members), epochs, jnp.int32)
+        for i in going:
+            while trained[i] < epochs and _trains(among[i]) and not stop.is_set():
+                states[i], history = advance(states[i], choices[i]._replace(last_epoch=ends))
+                curves[i] = np.concatenate([curves[i], _finite(history.validation)], axis=1)
+                trained[i] = min(trained[i] + per_call, epochs)
+        notify(f"recipe=auto: {len(going)} of {len(among)} candidates after {epochs} epochs")
+        going = sorted(going, key=lambda i: curves[i].min(1).mean())[: math.ceil(len(going) / _KEEP)]
+    return [Tried(*one) for one in zip(among, curves, trained, strict=True)]
+
+
+def _finite(losses: Any) -> np.ndarray:
+    """Losses in which that of a member that stands still, or has left the range, is too large to be the best."""
+    return np.nan_to_num(np.asarray(losses, np.float64), nan=_LARGE, posinf=_LARGE)
+
+
+def _smaller(plan: Plan) -> Plan:
+    """At most as many members as a choice needs."""
+    most = max(plan.settings.data.folds, _TRYING)
+    if len(plan.members) <= most:
+        return plan
+    some = np.linspace(0, len(plan.members) - 1, most).round().astype(int)
+    members = [plan.members[i] for i in some]
+    return plan._replace(
+        members=members,
+        data=jax.tree.map(lambda a: np.asarray(a)[some], plan.data),
+        mapping=replace(plan.mapping, devices=min(plan.mapping.devices, most)),
+    )
+
+
+def _clearly_better(tried: Sequence[Tried]) -> Tried:
+    """The best candidate of the simplest kind that no other kind clearly beats."""
+    kinds: list[list[Tried]] = [[], [], []]
+    for one in tried:
+        kinds[_kind(one.settings)].append(one)
+    first, *others = (min(kind, key=lambda one: one.score) for kind in kinds if kind)
+    chosen = first
+    for other in others:
+        if _beats(other, chosen):
+            chosen = other
+    return chosen
+
+
+def _beats(other: Tried, simpler: Tried) -> bool:
+    gains = simpler.left_out - other.left_out
+    error = np.std(gains, ddof=1) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    return bool(np.mean(gains) > max(error, _GAIN * np.mean(simpler.left_out)))
+
+
+def _kind(settings: TrainingSettings) -> int:
+    """0: the physics alone, 1: with its parameters trained, 2: with networks."""
+    return 0 if is_alone(settings) else 1 if not settings.model.networks else 2
+
+
+def _trains(settings: TrainingSettings) -> bool:
+    return not is_alone(settings) or settings.run.initial_state == "least_squares"
+
+
+def is_alone(settings: TrainingSettings) -> bool:
+    """Is nothing trained but, perhaps, the start?"""
+    return not settings.model.networks and settings.fit.physics_parameters == "fixed"
+
+
+def describe(settings: TrainingSettings) -> str:
+    """One line for people."""
+    fitted = settings.fit.physics_parameters == "trained"
+    if not settings.model.networks:
+        words = ["the physics alone", *(["its parameters trained"] if fitted else [])]
+        return ", ".join([*words, f"initial_state={settings.run.initial_state}"])
+    words = [f"correction={settings.model.correction:g}"] if settings.model.guided else []
+    words += ["start_from_physics=true"] if settings.model.start_from_physics and settings.model.guided else []
+    words += [f"learning_rate={settings.fit.learning_rate:g}"]
+    words += ["physics_parameters=trained"] if fitted else []
+    return ", ".join([*words, f"initial_state={settings.run.initial_state}"])
+
+
+def settled(
+    plan: Plan, state: MemberState, recipe: Mapping[str, Any] | None
+) -> tuple[MemberState, dict[str, Any] | None]:
+    """The members after training, of which those that are no better than the physics alone on what they leave out are
+    it from here on, and the report of the choice with their seeds. recipe: `Chosen.report`; None: settings that were
+    given, with which nothing is changed."""
+    if recipe is None:
+        return state, None
+    objective, back = plan.fit.objective, np.zeros(len(plan.members), bool)
+
+    def one(state: MemberState, data: MemberData) -> tuple[MemberState, jax.Array]:
+        alone = objective.alone(state.best, data)
+        loss = objective.on_validation(alone, data).mean
+        back = ~(state.best_loss < loss) & jnp.isfinite(loss)
+        best = jax.tree.map(lambda a, b: jnp.where(back, a, b), alone, state.best)
+        return state._replace(best=best, best_loss=jnp.where(back, loss, state.best_loss)), back
+
+    if plan.settings.model.guided and jax.tree.leaves(state.theta):
+        state, back = jit_members(one, plan.mapping)(state, plan.data)
+    return state, {**recipe, "fell_back": [m.seed for m, b in zip(plan.members, np.asarray(back), strict=True) if b]}
