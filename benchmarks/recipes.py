@@ -76,7 +76,7 @@ def _row(
     skipped = metrics["n_init"]
     start = ours.settings.run.initial_state
     same = {"initial_state": start, "report_n_init": [skipped], "quiet": True}
-    alone = pg.fit("physics_only", physics, train, recipe="default", **same)
+    alone = pg.fit("physics_only", physics, train, validation=train, recipe="default", **same)
     black = pg.fit("rssnn", physics, train, recipe="auto", report_n_init=[skipped], quiet=True)
     summaries = [e.evaluate(case.test).metrics["summary"] for e in (alone, black)]
     return {

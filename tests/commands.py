@@ -63,7 +63,7 @@ def trained(folder: Path, *overrides: str) -> RunFolder:
         config = composed(*overrides)
         experiment, plan = plan_command(config, lambda line: None)
         train_run(
-            config, plan, experiment.test, None, run, Console(file=log), threading.Event(),
+            config, plan, experiment, None, run, Console(file=log), threading.Event(),
             command="python train.py", seconds={},
         )  # fmt: skip
     return run

@@ -106,7 +106,7 @@ def test_simulate_says_what_does_not_fit(ensemble, u, x0, said):
 def test_a_start_that_training_did_not_know_must_be_given(tanks, benchmark):
     train = benchmark[0]
     unknown = pg.record(train.u, train.y, dt=4.0, inputs={"pump_voltage": "V"}, outputs={"level_voltage": "V"})
-    fitted = pg.fit("pg_rssnn", tanks, unknown, **QUICK)
+    fitted = pg.fit("pg_rssnn", tanks, unknown, recipe="default", **QUICK)
     assert not fitted.settings.data.folds
     with pytest.raises(ValueError, match="x0: expected an initial state of 2 numbers"):
         fitted.simulate(train.u)
@@ -175,7 +175,7 @@ def test_a_csv_file_becomes_a_record_of_the_physics(tanks, tmp_path):
         ({"epochs": -1}, "fit: epochs: expected 0 or more"),
         ({"epochs": "many"}, "fit.epochs: expected int, found 'many'"),
         ({"initial_state": "warm"}, "initial_state: expected zero"),
-        ({"recipe": "best"}, "recipe: expected 'experiment', 'default' or None"),
+        ({"recipe": "best"}, "recipe: expected 'auto', 'experiment', 'default' or None"),
         ({"seeds": 0}, "n_seeds: expected 1 to"),
     ],
 )

@@ -1,5 +1,7 @@
 """Members that take turns in what they set aside: every sample validates once, and what is set aside is not seen."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -81,13 +83,32 @@ def test_the_errors_set_aside_add_up_to_those_of_one_run_over_the_whole_record()
     [
         (["data.folds=1"], "data.folds: expected 0 .the split of the data. or at least 2, found 1"),
         (["data.folds=5", "data.block=0"], "data.block: expected between 1 and .* samples, found 0"),
-        (["data.folds=5", "data.n_train=100"], "data.folds: expected 0 where validation does not go on"),
+        (["data.folds=5", "data.n_train=100"], "at least folds x block = 160 samples to share, found 100"),
         (["data.folds=5", "data.block=300"], "at least folds x block = 1500 samples to share, found 1024"),
     ],
 )
 def test_a_record_that_cannot_be_shared_is_answered_with_one_sentence(more: list[str], sentence: str) -> None:
     with pytest.raises(ValueError, match=sentence):
         planned("+experiment=cascaded_tank", "data.generated=true", *more)
+
+
+def test_records_of_two_measurements_are_not_shared() -> None:
+    whole = simulated(cascaded_tanks(), samples=SAMPLES, seed=1)
+    other = whole._replace(info=replace(whole.info, origin="another"))
+    with pytest.raises(ValueError, match="data.folds: expected 0 where validation does not go on right after training"):
+        kfold_masks(stack([whole]), stack([other]), [0], 2, 6)
+
+
+def test_a_later_part_of_the_same_measurement_is_never_trained_on() -> None:
+    whole = simulated(cascaded_tanks(), samples=SAMPLES, seed=1)
+    first, later = crop(whole, 0, SAMPLES // 2), crop(whole, SAMPLES // 2 + 5, SAMPLES)
+    train, validation = kfold_masks(*(stack([part] * 2) for part in (first, later)), [0, 1], 2, 6)
+    assert train.u.shape[:2] == (2, 2)
+    assert not train.mask[:, 1].any()
+    time = later.u.shape[1]
+    assert validation.mask[:, 1, :time].all()
+    assert not validation.mask[:, 1, time:].any()
+    np.testing.assert_array_equal(validation.mask[:, 0].sum(0), train.mask[:, 0].sum(0))
 
 
 def test_a_fold_in_which_nothing_was_measured_is_named() -> None:

@@ -133,7 +133,7 @@ def wrong(**changes: Any) -> Record:
         (WHOLE, OTHER._replace(y=OTHER.y - 1e3), {}, "data: validation: level_voltage: expected .* V, found values"),
         (wrong(u=1e19 + WHOLE.u), None, {}, "data: train: expected values up to 1e.18, found 1e.19"),
         (wrong(mask=np.zeros_like(WHOLE.mask)), OTHER, {}, "data.train: expected at least one measured output"),
-        (WHOLE, None, {"initial_state": "estimated", "n_init": 45}, "n_init: expected fewer than the 45 samples"),
+        (WHOLE, None, {"initial_state": "estimated", "n_init": 45}, "n_init: expected fewer than the 15 samples"),
         (WHOLE, None, {"folds": 1}, "data.folds: expected 0 .* or at least 2, found 1"),
         (WHOLE, None, {"devices": 99}, "devices"),
     ],
