@@ -74,8 +74,8 @@ def _row(
     seconds = time.perf_counter() - started
     metrics = ours.evaluate(case.test).metrics
     skipped = metrics["n_init"]
-    start = ours.settings.run.initial_state
-    same = {"initial_state": start, "report_n_init": [skipped], "quiet": True}
+    run = ours.settings.run
+    same = {"initial_state": run.initial_state, "n_init": run.n_init, "report_n_init": [skipped], "quiet": True}
     alone = pg.fit("physics_only", physics, train, validation=train, recipe="default", **same)
     black = pg.fit("rssnn", physics, train, recipe="auto", report_n_init=[skipped], quiet=True)
     summaries = [e.evaluate(case.test).metrics["summary"] for e in (alone, black)]
@@ -83,7 +83,7 @@ def _row(
         "system": system, "samples": train.u.shape[1], "physics": kind, "noise": noise, "truth": ",".join(truth),
         "ours": metrics["summary"]["rmse_mean"], "ensemble": metrics["summary"].get("rmse_ensemble"),
         "physics_only": summaries[0]["rmse_mean"], "black_box": summaries[1]["rmse_mean"], "floor": case.floor,
-        "inside": metrics["summary"].get("interval", {}).get("coverage"), "seconds": seconds,
+        "inside": (metrics["interval"] or {}).get("coverage", [None])[0], "seconds": seconds,
         "chosen": metrics["recipe"]["chosen"], "fell_back": len(metrics["recipe"]["fell_back"]),
     }  # fmt: skip
 

@@ -36,7 +36,7 @@ from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.stored import settings_to_json, stored_physics
 from pgrssnn_jax.effects.systems import add_effect as add
 from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
-from pgrssnn_jax.models.spec import ModelSpec
+from pgrssnn_jax.models.spec import ModelSpec, changes_of
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
 from pgrssnn_jax.physics.simulate import free_run
 from pgrssnn_jax.records.arguments import call_with
@@ -97,7 +97,7 @@ def fit(
     chosen = _training(model, physics, train, recipe, given)
     stop, console, choice = threading.Event(), Console(quiet=quiet, highlight=False), None
     if recipe == "auto":
-        held = given.keys() if isinstance(model, str) else {*given, *vars(model)}
+        held = {*given, *(() if isinstance(model, str) else changes_of(model))}
         choice = choose_settings(
             physics, train, chosen, held,
             validation=validation, stop=stop, notify=lambda line: console.print(line, soft_wrap=True),

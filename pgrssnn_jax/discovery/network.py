@@ -2,7 +2,7 @@
 
     share = RMS(ŷ of PG-RSSNN - ŷ of its physics alone) / std(y)          on the test record, mean over members
 
-Training begins at the physics (output heads at zero), so the physics alone is the model before its first epoch.
+The physics alone is the model without its networks (`training/shares.py`).
 """
 
 import threading
@@ -15,10 +15,12 @@ import numpy as np
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.effects.stored import OF_TRAINING, stored_physics
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.record import take
 from pgrssnn_jax.training.evaluation import predict, trained_members
 from pgrssnn_jax.training.loop import train
 from pgrssnn_jax.training.metrics import nrmse, rmse
 from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests, plan_training
+from pgrssnn_jax.training.shares import network_share
 from pgrssnn_jax.training.train import first_checkpoint
 
 
@@ -57,21 +59,19 @@ def network_shares(
 
 def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, float, str, str]:
     first = first_checkpoint(plan)
-    alone = predict(trained_members(plan, first.state), tests.record, plan.data)[0].y
     done = train(
         plan.fit, plan.mapping, first.state, plan.data, first.losses,
         on_chunk=lambda state, losses, now: None, stop=stop,
     )  # fmt: skip
-    together = predict(trained_members(plan, done.state), tests.record, plan.data)[0].y
-    measured = tests.measured
-    several = measured.y.shape[-1] > 1
-    shares, errors = [], []
-    for i in range(len(together)):
-        y, mask = np.asarray(measured.y[i], np.float64), np.asarray(measured.mask[i])
-        spread = np.nanstd(np.where(mask, y, np.nan), axis=(0, 1))
-        added = np.sqrt(np.mean((together[i] - alone[i]).astype(np.float64) ** 2, axis=(0, 1)))
-        shares.append(float(np.mean(added / spread)))
-        error = (nrmse if several else rmse)(measured=y, predicted=together[i], mask=mask, n_init=tests.n_inits[0])
+    found, measured = predict(trained_members(plan, done.state), tests.record, plan.data)[0], tests.measured
+    assert found.alone is not None  # a guided model with networks
+    several, shares, errors = measured.y.shape[-1] > 1, [], []
+    for i, (predicted, alone) in enumerate(zip(found.y, found.alone, strict=True)):
+        record = take(measured, i)
+        shares.append(float(np.mean(network_share(record, predicted, alone))))
+        error = (nrmse if several else rmse)(
+            measured=record.y, predicted=predicted, mask=record.mask, n_init=tests.n_inits[0]
+        )
         errors.append(float(np.mean(error)))
     metric, unit = ("NRMSE", "") if several else ("RMSE", measured.info.outputs[0].unit)
     return float(np.mean(shares)), float(np.mean(errors)), metric, unit

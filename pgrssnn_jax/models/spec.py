@@ -57,3 +57,9 @@ def variant_changes(name: str) -> dict[str, Any]:
     if name not in VARIANTS:
         raise ValueError(f"model: expected one of {sorted(VARIANTS)}, found {name!r}")
     return dict(VARIANTS[name])
+
+
+def changes_of(spec: ModelSpec) -> dict[str, Any]:
+    """What a spec changes in the default one."""
+    usual = vars(ModelSpec())
+    return {name: value for name, value in vars(spec).items() if value != usual[name]}

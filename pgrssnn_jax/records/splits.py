@@ -3,9 +3,6 @@
     sample t trains member m where floor(t / block) mod folds ≠ seed(m) mod folds, and validates it elsewhere
     (of sequence s: (floor(t / block) + s) mod folds; where sequences are many, s mod folds)
 
-Where folds blocks are longer than the record of T samples they overlap: member m leaves out `block` samples, around the
-end of the record where need be, from sample T (seed(m) mod folds) / folds on.
-
 In k-fold cross-validation across members all members predict the whole record; only the masks differ. Nothing of the
 record is lost to the ensemble, and early stopping sees every part of it, also where a physics has been fitted to it.
 Source: Krogh and Vedelsby, Neural network ensembles, cross validation, and active learning, NIPS 1995.
@@ -23,15 +20,22 @@ _TAIL = 4  # one part in so many of a record validates where nothing else is sai
 
 
 def kfold_masks(
-    train: Record, validation: Record, seeds: Sequence[int], folds: int, block: int = 32, *, one_record: bool = False
+    train: Record,
+    validation: Record,
+    seeds: Sequence[int],
+    folds: int,
+    block: int = 32,
+    *,
+    lead: int = 0,
+    one_record: bool = False,
 ) -> tuple[Record, Record]:
     """The records of members `[member, seq, time, channel]` with masks by their seeds.
 
-    folds: how many members share a record between them; block: samples that are set aside together, half the record at
-    most; of a record with at least `folds` sequences, whole sequences are. one_record: the validation record was cut
-    from the training record. A validation record that is a later part of the same measurement, with a gap before it, is
-    never trained on. Raises `ValueError` where the two records are not one, or too short for the blocks, or have no
-    measured sample in a fold.
+    folds: how many members share a record between them; block: samples that are set aside together; of a record with at
+    least `folds` sequences, whole sequences are. lead: first samples that are in no block. one_record: the validation
+    record was cut from the training record. A validation record that is a later part of the same measurement, with a
+    gap before it, is never trained on. Raises `ValueError` where the two records are not one, or
+    too short for every fold to have a block, or have no measured sample in a fold.
     """
     if folds < 2:
         raise ValueError(f"data.folds: expected 0 (the split of the data) or at least 2, found {folds}")
@@ -48,17 +52,15 @@ def kfold_masks(
     trained = n_seq - 1 if later else n_seq  # sequences that are trained on by some member
     samples = train.u.shape[2] if later else time
     by_sequence = trained >= folds
-    if not by_sequence and samples < max(folds, 2 * block):
+    if not by_sequence and samples < folds * block:
         raise ValueError(
-            f"data.folds, data.block: expected a record of at least {max(folds, 2 * block)} samples, one for each of "
-            f"{folds} folds and two blocks of {block}, found {samples}"
+            f"data.folds: expected at least folds x block = {folds * block} samples to share, found {samples}"
         )
-    own = np.asarray(seeds)[:, None, None] % folds
     sequence, sample = np.arange(n_seq)[:, None], np.arange(time)[None]
-    if by_sequence or folds * block <= samples:
-        aside = (np.where(by_sequence, 0, sample // block) + sequence) % folds == own
-    else:
-        aside = (sample - (own + sequence) * samples // folds) % samples < block
+    fold = (np.where(by_sequence, 0, sample // block) + sequence) % folds
+    aside = fold == np.asarray(seeds)[:, None, None] % folds
+    if not by_sequence:
+        aside &= sample >= lead
     aside = (aside | (sequence >= trained))[..., None]
     seen, kept_back = (np.asarray(whole.mask) & which for which in (~aside, aside))
     for name, mask in (("train", seen), ("validate", kept_back)):

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 import pandas as pd
@@ -19,13 +19,16 @@ from pgrssnn_jax.reports.tables import member_table
 from pgrssnn_jax.reports.write import write_report, yaml_text
 from pgrssnn_jax.training import evaluation
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
-from pgrssnn_jax.training.evaluation import Trained
+from pgrssnn_jax.training.evaluation import Predictions, Trained
+from pgrssnn_jax.training.intervals import LEVEL, Intervals, calibrate
+from pgrssnn_jax.training.left_out import left_out, optimism
 from pgrssnn_jax.training.loop import Losses, losses_table
 from pgrssnn_jax.training.members import select
-from pgrssnn_jax.training.plan import Plan, member_tests
+from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests
 from pgrssnn_jax.training.run_folder import RunFolder
 from pgrssnn_jax.training.run_lock import locked
 from pgrssnn_jax.training.settings import TrainingSettings, settings_to_config
+from pgrssnn_jax.training.shares import outside
 
 
 class Evaluated(NamedTuple):
@@ -33,6 +36,16 @@ class Evaluated(NamedTuple):
 
     metrics: dict[str, Any]
     arrays: dict[str, np.ndarray]
+
+
+class Simulated(NamedTuple):
+    """A free run with its interval: y `[member, *seq, time, y]`; mean over members, and the ends of the interval around
+    it, `[*seq, time, y]`."""
+
+    y: Float[np.ndarray, "member *seq time y"]
+    mean: Float[np.ndarray, "*seq time y"]
+    low: Float[np.ndarray, "*seq time y"]
+    high: Float[np.ndarray, "*seq time y"]
 
 
 class Ensemble:
@@ -53,12 +66,15 @@ class Ensemble:
         plan: Plan | None = None,
         labels: Mapping[str, str | None] | None = None,
         recipe: Mapping[str, Any] | None = None,
+        intervals: Intervals | None = None,
     ) -> None:
         """info: of the training record; n_train: samples per training sequence; plan: with the data of training, None
-        after loading; labels: names of the configuration's files; recipe: how `recipe=auto` chose the settings."""
+        after loading; labels: names of the configuration's files; recipe: how `recipe=auto` chose the settings;
+        intervals: of a run that is loaded; others are calibrated when they are asked for."""
         self.settings, self.trained, self.losses, self.info = settings, trained, losses, info
         self.n_train, self.seconds, self.plan, self.labels = n_train, dict(seconds), plan, labels or {}
         self.recipe = recipe
+        self._intervals = intervals
         self._evaluated: Evaluated | None = None
 
     @property
@@ -74,11 +90,21 @@ class Ensemble:
         best, scaling = select((self.trained.state.best, self.trained.scaling), member)
         return self.trained.objective.assemble(best, scaling)
 
-    def simulate(self, u: Array, x0: Array | None = None) -> Float[np.ndarray, "member *seq time y"]:
+    @overload
+    def simulate(self, u: Array, x0: Array | None = None) -> Float[np.ndarray, "member *seq time y"]: ...
+
+    @overload
+    def simulate(self, u: Array, x0: Array | None = None, *, interval: float) -> Simulated: ...
+
+    def simulate(
+        self, u: Array, x0: Array | None = None, *, interval: float | None = None
+    ) -> Float[np.ndarray, "member *seq time y"] | Simulated:
         """Free run of every member from inputs u `[time, input]` or `[sequence, time, input]`; NaN for a failed one.
 
         x0 `[state]` or `[sequence, state]` in the physics' units; None: as in training, where that is a known state.
-        Raises `ValueError` for other shapes, for inputs that are not finite, and where training knew no start.
+        interval: 0.9 for the interval that holds nine in ten measurements (`training/intervals.py`), which changes the
+        result to a `Simulated`. Raises `ValueError` for other shapes, for inputs that are not finite, where training
+        knew no start, and where no interval was calibrated.
         """
         u, n_u, n_x = np.asarray(u), len(self.physics.inputs), self.model.n_x
         if u.ndim not in (2, 3) or u.shape[-1] != n_u:
@@ -95,8 +121,36 @@ class Ensemble:
                 raise ValueError(f"simulate: x0: expected shape {expected}, found {np.shape(x0)}")
             start = np.broadcast_to(np.asarray(x0), shape)
         y = evaluation.predict_from(self.trained, sequences, start).y.copy()
-        y[[i for i, row in enumerate(self.trained.state.outcome) if evaluation.has_failed(int(row))]] = np.nan
-        return y if u.ndim == 3 else y[:, 0]
+        y[~self._usable] = np.nan
+        if interval is None:
+            return y if u.ndim == 3 else y[:, 0]
+        if self.intervals is None:
+            raise ValueError("simulate: interval: expected a run that left samples out, found one without any")
+        members = y[self._usable].astype(np.float64)
+        mean, spread = members.mean(0), members.std(0)
+        half = self.intervals.half_width(mean, spread, sequences, interval)
+        found = Simulated(y, mean, mean - half, mean + half)
+        return found if u.ndim == 3 else Simulated(y[:, 0], *(a[0] for a in found[1:]))
+
+    @property
+    def _usable(self) -> np.ndarray:
+        """Which members have not failed."""
+        return np.array([not evaluation.has_failed(int(outcome)) for outcome in self.trained.state.outcome], bool)
+
+    @property
+    def intervals(self) -> Intervals | None:
+        """What prediction intervals need beside a prediction, calibrated on what members left out; None where nothing
+        was, and for a run of before there were any."""
+        if self._intervals is None and self.plan is not None:
+            self._calibrate(evaluation.validated_outputs(self.trained, self.plan.data), self.plan)
+        return self._intervals
+
+    def _calibrate(self, validated: np.ndarray, plan: Plan) -> None:
+        usable = np.flatnonzero(self._usable & np.isfinite(validated).all((1, 2, 3)))
+        if len(usable):
+            found = left_out(validated, plan.validation, [m.dataset for m in plan.members], usable.tolist())
+            seen = (plan.train, plan.validation)
+            self._intervals = calibrate(found, seen, optimism(self.losses.validation))
 
     def _known_start(self) -> Float[np.ndarray, "member x"]:
         initial, count = self.trained.objective.initial, len(self.trained.members)
@@ -120,6 +174,10 @@ class Ensemble:
         rows = evaluation.member_rows(trained, tests, predictions, plan and plan.validation, validated)
         mean, deviation = evaluation.ensemble(rows, tests.measured, predictions)
         info, measured = test.info, tests.measured
+        if self._intervals is None and plan is not None and validated is not None:
+            self._calibrate(validated, plan)
+        together = evaluation.groups(rows, mean)
+        more, arrays = self._explained(together, rows, tests, predictions)
         metrics = {
             "schema": 1,
             "system": self.physics.name,
@@ -137,12 +195,13 @@ class Ensemble:
             "outputs": [channel._asdict() for channel in measured.info.outputs],
             "members": rows,
             "summary": evaluation.summary(rows, measured, mean, tests.n_inits),
+            **more,
             "seconds": {**self.seconds, "total": sum(self.seconds.values())},
         }
-        arrays = {
-            "y": measured.y[0],
-            "u": measured.u[0],
-            "mask": measured.mask[0],
+        arrays |= {
+            "y": np.asarray(measured.y[0]),
+            "u": np.asarray(measured.u[0]),
+            "mask": np.asarray(measured.mask[0]),
             "y_hat": predictions.y.astype(np.float32),
             "ensemble_mean": mean,
             "ensemble_std": deviation,
@@ -157,6 +216,24 @@ class Ensemble:
                 arrays[f"skeleton_{name}"] = self.physics.skeleton(y).astype(np.float32)
         self._evaluated = Evaluated(metrics, arrays)
         return self._evaluated
+
+    def _explained(
+        self, together: list[list[int]], rows: list[dict[str, Any]], tests: MemberTests, found: Predictions
+    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """For `metrics.json`: how good the interval is, what the networks supply, how often the test record is
+        outside the range of training; and the arrays behind them, of the first members that were tested together."""
+        info, intervals = tests.measured.info, self.intervals
+        metrics: dict[str, Any] = {"interval": None, "network": evaluation.network_figures(rows, tests, found)}
+        arrays: dict[str, np.ndarray] = {}
+        if together and intervals is not None:
+            metrics["interval"], low, high = evaluation.interval_figures(intervals, together, tests, found, LEVEL)
+            arrays |= {"interval_low": low.astype(np.float32), "interval_high": high.astype(np.float32)}
+            u, y = np.asarray(tests.measured.u[together[0][0]]), found.y[together[0]].mean(0)
+            metrics["outside"] = outside(intervals, info.inputs, info.outputs, u, y)
+        if together and found.alone is not None and found.x is not None:
+            supplied, states = found.y[together[0]] - found.alone[together[0]], found.x[together[0]]
+            arrays |= {"network": supplied.mean(0).astype(np.float32), "x": states.mean(0).astype(np.float32)}
+        return metrics, arrays
 
     def score(self, test: Record) -> pd.DataFrame:
         """A row per member: seed, dataset, status, best epoch, and RMSE, NRMSE, fit (%) and correlation on the test
@@ -205,13 +282,15 @@ class Ensemble:
         """History, predictions, figures of merit and page; without a test record only the history. DONE comes last."""
         run.write_csv("history.csv", losses_table(self.losses, self.trained.members))
         run.write_arrays("predictions.npz", {"x0_train": self.trained.start} if found is None else found.arrays)
+        if self.intervals is not None:
+            run.write_arrays("intervals.npz", self.intervals._asdict())
         if found is not None:
             run.write_json("metrics.json", found.metrics)
             write_report(run)
         run.finish()
 
     def __repr__(self) -> str:
-        failed = sum(evaluation.has_failed(int(outcome)) for outcome in self.trained.state.outcome)
+        failed = int(np.sum(~self._usable))
         count, what = len(self.trained.members), f"{self.settings.name} on {self.physics.name}"
         return f"{what}: {count} members, {count - failed} finished, {failed} failed"
 

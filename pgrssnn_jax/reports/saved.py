@@ -23,6 +23,7 @@ from pgrssnn_jax.records.scaling import Scaling, Units, identity
 from pgrssnn_jax.reports.ensemble import Ensemble
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.evaluation import Trained
+from pgrssnn_jax.training.intervals import N_LEVELS, Intervals
 from pgrssnn_jax.training.loop import no_losses
 from pgrssnn_jax.training.members import Member
 from pgrssnn_jax.training.objective import MemberData
@@ -86,7 +87,20 @@ def load(
         n_train=metrics.get("n_train", 0),
         seconds=seconds,
         recipe=_recipe(config),
+        intervals=_intervals(run, len(chosen.inputs), len(chosen.outputs)),
     )
+
+
+def _intervals(run: RunFolder, n_u: int, n_y: int) -> Intervals | None:
+    """None for a run that has none. Raises `ValueError` for arrays of other names or shapes."""
+    arrays = run.read_arrays("intervals.npz")
+    if not arrays:
+        return None
+    expected = {"weights": (n_y, 4 + n_u), "y": (4, n_y), "u": (4, n_u), "horizon": (), "quantiles": (n_y, N_LEVELS)}
+    found = {name: array.shape for name, array in arrays.items()}
+    if found != expected:
+        raise ValueError(f"{run.path / 'intervals.npz'}: expected arrays of shapes {expected}, found {found}")
+    return Intervals(**arrays)
 
 
 def _recipe(config: Mapping[str, Any]) -> Mapping[str, Any] | None:

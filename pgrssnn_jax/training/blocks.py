@@ -1,11 +1,11 @@
 """How long the blocks are that members leave out while settings are chosen.
 
-    block = 2 max(τ_physics, τ_errors)        at most half the record, at least `DataSettings.block`
+    memory = max(τ_physics, 2 τ_errors)        samples
 
-A short block says little about a free run: the model is held by measurements on both sides of it, for as long as the
-system remembers its state and the errors remember themselves. τ_physics: samples until a change of x_0 has decayed to
-1/e of its largest effect on the outputs, without end where nothing pulls a state back (the position of an axis).
-τ_errors: Σ_{k>0} ρ_k of the errors of the physics alone. After 2 τ an exponential memory has decayed to 14 %.
+A shorter block says little about a free run: measurements on both sides of it hold the model in place, for as long as
+the system remembers its state and the errors remember themselves. τ_physics: samples until a change of x_0 has decayed
+to 1/e of its largest effect on the outputs, without end where nothing pulls a state back (the position of an axis).
+τ_errors: Σ_{k>0} ρ_k of the errors of the physics alone, so that 2 τ samples are about one independent sample.
 Sources: Burman, Chow, Nolan, A cross-validatory method for dependent data, Biometrika 1994; Sokal, Monte Carlo methods
 in statistical mechanics, 1997, for the window of the sum.
 """
@@ -17,26 +17,25 @@ from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.simulate import first_output_state, free_run
 from pgrssnn_jax.records.record import Record
 
-_MEMORIES = 2
 _CHANGE = 0.1  # of a state's deviation along the run: small beside what is nonlinear, large beside rounding
 _WINDOW = 5  # correlation times over which correlations are summed
 
 
-def block_length(physics: Physics, train: Record) -> int:
-    """Samples; without an upper limit. train `[seq, time, channel]` in the units of the physics."""
+def memory(physics: Physics, train: Record) -> int:
+    """Samples, at most those of a sequence. train `[seq, time, channel]` in the units of the physics."""
     u, y = np.asarray(train.u, np.float32), np.asarray(train.y, np.float32)
     x0 = np.asarray(first_output_state(physics, y[:, 0], u[:, 0]))
     predicted, x = (np.asarray(a) for a in free_run(physics, u, x0))
     time = u.shape[1]
     if not (np.isfinite(predicted).all() and np.isfinite(x).all()):
-        return _MEMORIES * time
+        return time
     errors = np.where(train.mask, y - predicted, 0.0)
-    longest = max(_correlation_time(errors[i, :, k]) for i in range(len(errors)) for k in range(errors.shape[2]))
+    longest = 2.0 * max(_correlation_time(errors[i, :, k]) for i in range(len(errors)) for k in range(errors.shape[2]))
     for state, size in enumerate(_CHANGE * x.std((0, 1))):
         moved = x0.copy()
         moved[:, state] += size
         longest = max(longest, _memory(np.asarray(free_run(physics, u, moved)[0]) - predicted))
-    return int(np.ceil(_MEMORIES * longest))
+    return min(time, int(np.ceil(longest)))
 
 
 def _memory(effect: Float[np.ndarray, "seq time y"]) -> float:

@@ -6,7 +6,7 @@ training begins, the learning rate, and whether parameters of the physics and th
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from pgrssnn_jax.training.settings import TrainingSettings, changed
 
 _ALONE = {"networks": False}
 _FITTED = {"physics_parameters": "trained"}
+_QUICKLY = {**_FITTED, "learning_rate": 1e-2}  # of their sizes per epoch: a few numbers settle in a hundred epochs
 _SEARCHED = {"initial_state": "least_squares"}
 _GENTLE = {"start_from_physics": True, "correction": 0.1}
 #: what differs from the default settings. correction: f_nn in units of a state's scale per sample; 0.01 is for physics
@@ -24,16 +25,12 @@ _GENTLE = {"start_from_physics": True, "correction": 0.1}
 CANDIDATES: Sequence[Mapping[str, Any]] = (
     _ALONE,
     {**_ALONE, **_SEARCHED},
-    {**_ALONE, **_FITTED},
-    {**_ALONE, **_FITTED, **_SEARCHED},
+    {**_ALONE, **_QUICKLY},
+    {**_ALONE, **_QUICKLY, **_SEARCHED},
     {"start_from_physics": True, "correction": 1.0},
     {"start_from_physics": True, "correction": 1.0, **_FITTED},
-    _GENTLE,
-    {**_GENTLE, **_FITTED},
     {**_GENTLE, "learning_rate": 3e-3},
     {**_GENTLE, **_FITTED, "learning_rate": 3e-3},
-    {**_GENTLE, "correction": 0.01},
-    {**_GENTLE, "correction": 0.01, **_FITTED},
     {**_GENTLE, "correction": 0.01, **_FITTED, "learning_rate": 3e-3},
     {"correction": 0.1},
     {**_SEARCHED, "start_from_physics": True, "correction": 1.0},
@@ -42,6 +39,7 @@ CANDIDATES: Sequence[Mapping[str, Any]] = (
     {**_SEARCHED, **_GENTLE, "correction": 0.01, "learning_rate": 3e-3},
     {**_SEARCHED, **_GENTLE, "correction": 0.01, **_FITTED, "learning_rate": 3e-3},
 )
+Starts = Literal["never", "perhaps", "always"]
 _STARTS = ("estimated", "least_squares")  # that are trained
 _TRIED = ("correction", "start_from_physics", "learning_rate", "physics_parameters", "initial_state")
 
@@ -52,13 +50,15 @@ def candidates(
     held: Collection[str],
     usual: Mapping[str, Any],
     *,
-    starts: bool,
+    starts: Starts,
+    networks: bool,
 ) -> list[TrainingSettings]:
     """The settings to choose from, without those that differ in what is held or cannot be. usual: what the recipe of
-    the benchmark would choose, a candidate too; starts: may the start of a record be trained?"""
+    the benchmark would choose, a candidate too; starts: is the start of a record never, perhaps or always trained?
+    networks: may there be any beside the physics?"""
     changes = [] if settings.model.guided else [{}, {"learning_rate": 3e-3}]
     if settings.model.guided and not settings.model.networks:
-        changes = [_ALONE, {**_ALONE, **_FITTED}]
+        changes = [_ALONE, {**_ALONE, **_QUICKLY}]
     elif settings.model.guided:
         changes = [*CANDIDATES, {name: usual[name] for name in _TRIED if name in usual}]
     movable = physics.differentiable and any(
@@ -67,8 +67,12 @@ def candidates(
     possible = [
         change
         for change in changes
-        if (movable or "physics_parameters" not in change) and (starts or change.get("initial_state") not in _STARTS)
+        if (movable or "physics_parameters" not in change)
+        and (starts != "never" or change.get("initial_state") not in _STARTS)
+        and (networks or not change.get("networks", settings.model.guided))
     ]
+    if starts == "always":
+        possible = [{**change, **_SEARCHED} for change in possible]
     free = ({name: value for name, value in change.items() if name not in held} for change in possible)
     return list(dict.fromkeys(changed(settings, change) for change in free))
 

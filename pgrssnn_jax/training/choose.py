@@ -4,12 +4,14 @@
                       it leaves out, at the epoch that is best for the other members
 
 Every member leaves out other blocks of the estimation record, so that together they leave out all of it
-(`records/splits.py`); a validation record of its own is left out by all. Here the blocks are longer than the system
-remembers (`blocks.py`); the members that are trained afterwards leave out short ones, and lose less of the record. The
-candidates are trained one after another by one program, in rounds: after a twentieth of the epochs the best third goes
-on, and so again, until the best after three tenths is chosen. The physics alone needs no training. Others replace it
-only if they beat it clearly: in a one-sided t test of the members' differences, in which blocks that overlap count for
-as many as do not. Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification, AISTATS 2016.
+(`records/splits.py`); a validation record of its own is left out by all. Here the blocks are as long as the system
+remembers, where the record has room for them (`blocks.py`); the members that are trained afterwards leave out short
+ones, and lose less of the record. The candidates are trained one after another by one program, in rounds: after a
+twentieth of the epochs the best third goes on, and so again, until the best after three tenths is chosen. The physics
+alone is always among them, and others replace it only if they beat it in a one-sided t test of the members'
+differences. Where the physics remembers more than half of the only record, it is alone: in such a record nothing tells
+how networks do in a free run. Where nothing is known of the start of records, it is always found by least squares.
+Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification, AISTATS 2016.
 """
 
 import math
@@ -27,8 +29,9 @@ from scipy.stats import t as student
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Record, continues
 from pgrssnn_jax.records.splits import is_later
-from pgrssnn_jax.training.blocks import block_length
-from pgrssnn_jax.training.candidates import candidates, choice_of, shared_settings
+from pgrssnn_jax.training.blocks import memory
+from pgrssnn_jax.training.candidates import Starts, candidates, choice_of, shared_settings
+from pgrssnn_jax.training.left_out import at_epoch_of_others
 from pgrssnn_jax.training.members import jit_members, keys_of, repeat
 from pgrssnn_jax.training.objective import MemberData
 from pgrssnn_jax.training.optimise import MemberState
@@ -39,35 +42,31 @@ from pgrssnn_jax.training.settings import TrainingSettings, changed
 SCORE = "left-out NRMSE"
 _ROUNDS = (0.05, 0.15, 0.3)  # of the epochs
 _KEEP = 3  # one candidate of so many goes on to the next round
-_GAIN = 0.1  # of log E, 10 % of the squared error: less is not worth what networks may do outside the range of the record
+_GAIN = 0.1  # of log E, 10 % of the squared error: less is not worth what networks may do outside their range
 _LARGE, _SMALL = 1e9, 1e-12  # squared scaled error of what has left the range, and of what no float32 tells from none
-_SURE = 0.9  # level of the test: less certain gains are left to the physics
+_SURE = 0.75  # level of the test: less certain gains are left to the physics
 _FOLDS = (5, 10)  # of the members: least and most
 _TRYING_FOLDS = 5  # at most, of the members that try candidates
 _TRYING = 5  # members, at most, that try a candidate where all leave out the same record
 _BLOCK = 32  # samples
+_LEAD = 20  # one part in so many of a record tells all members where it starts
+_INIT = 4  # and the start of a test record is found from as many samples as one part in so many of the record
 _PATIENCE = 0.5  # of the epochs: corrections may rest on a plateau before they find their way (`_TANKS` in recipes.py)
 
 
 class Tried(NamedTuple):
     """Settings and the errors of every member on what it left out, mean squared and scaled, before training and after
-    every validation: curves `[member, validation]`; epochs: of training; apart: how many members' worth of samples the
-    left-out blocks hold without overlap."""
+    every validation: curves `[member, validation]`; epochs: of training."""
 
     settings: TrainingSettings
     curves: np.ndarray
     epochs: int
-    apart: float
 
     @property
     def left_out(self) -> np.ndarray:
         """log E `[member]`: every member at the epoch that is best for the others, so that what it leaves out has no
         part in the choice of the epoch."""
-        logs = np.log(self.curves + _SMALL)
-        if len(logs) == 1:
-            return np.min(logs, axis=1)
-        others = logs.sum(0) - logs
-        return logs[np.arange(len(others)), np.argmin(others, axis=1)]
+        return np.log(at_epoch_of_others(self.curves + _SMALL))
 
     @property
     def score(self) -> float:
@@ -87,9 +86,7 @@ class Chosen(NamedTuple):
 
     def report(self) -> dict[str, Any]:
         """What `metrics.json` and `config.yaml` say of the choice."""
-        tried = [
-            {"settings": describe(t.settings), "left_out_nrmse": t.nrmse, "epochs": t.epochs} for t in self.tried
-        ]
+        tried = [{"settings": describe(t.settings), "left_out_nrmse": t.nrmse, "epochs": t.epochs} for t in self.tried]
         return {"name": "auto", "chosen": tried[0]["settings"], "score": SCORE, "tried": tried}
 
 
@@ -109,15 +106,22 @@ def choose_settings(
     usual = recipe_for(train.info.benchmark).split(discovered=physics.discovered)[1]
     follows = _of_record(train, validation, settings, usual)
     settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
-    among = candidates(settings, physics, held, usual, starts=settings.data.folds > 0 and physics.differentiable)
-    race = settings if {"folds", "block"} & set(held) else _with_long_blocks(settings, physics, train, validation)
+    race, alone = settings, False
+    if not {"folds", "block"} & set(held):
+        race, alone = _with_long_blocks(settings, physics, train, validation)
+    if alone:
+        notify("recipe=auto: the physics alone, because it remembers more than half of the only record")
+    starts: Starts = "never"
+    if settings.data.folds and physics.differentiable:
+        starts = "always" if train.info.start == "unknown" else "perhaps"
+    among = candidates(settings, physics, held, usual, starts=starts, networks=not alone)
     tried = _race(physics, train, validation, race, among, stop, notify)
     if stop.is_set():
         return None
     best = _clearly_better(tried)
     tried = sorted(tried, key=lambda one: (one is not best, one.score))
-    alone = min((one for one in tried if is_alone(one.settings)), key=lambda one: one.score, default=best)
-    beside = "" if alone is best else f" (physics alone {alone.nrmse:.3g})"
+    nominal = min((one for one in tried if is_alone(one.settings)), key=lambda one: one.score, default=best)
+    beside = "" if nominal is best else f" (physics alone {nominal.nrmse:.3g})"
     notify(f"recipe=auto: {describe(best.settings)}; {SCORE} {best.nrmse:.3g}{beside}")
     return Chosen(best.settings, tried, time.perf_counter() - started)
 
@@ -142,22 +146,27 @@ def _of_record(
     folds = min(max(settings.run.n_seeds, _FOLDS[0]), _FOLDS[1])
     if n_seq < folds:
         folds = max(2, min(folds, samples // 2))
-    return {**follows, "folds": folds, "block": max(1, min(_BLOCK, samples // folds))}
+    lead = min(settings.run.n_init, samples // _LEAD)
+    block, n_init = max(1, min(_BLOCK, samples // folds)), max(1, min(settings.run.n_init, samples // _INIT))
+    return {**follows, "folds": folds, "block": block, "lead": lead, "n_init": n_init}
 
 
 def _with_long_blocks(
     settings: TrainingSettings, physics: Physics, train: Record, validation: Record | None
-) -> TrainingSettings:
-    """The settings with the folds of the members that try candidates."""
+) -> tuple[TrainingSettings, bool]:
+    """The settings with the folds of the members that try candidates: each leaves out blocks as long as the system
+    remembers, where the record has room for them. True where it remembers more than half of the record, so that nothing
+    in it tells how networks do in a free run."""
     n_seq, samples = train.u.shape[-3:-1]
     if not settings.data.folds or n_seq >= settings.data.folds or not settings.model.guided:
-        return settings
-    first, second = (None if r is None else _first(r) for r in (train, train.validation if validation is None else validation))
+        return settings, False
+    aside = train.validation if validation is None else validation
+    first, second = (None if r is None else _first(r) for r in (train, aside))
     if first is not None and second is not None and continues(first, second):
         samples += second.u.shape[-2]
-    folds = min(_TRYING_FOLDS, samples)
-    longest = max(samples // folds, block_length(physics, _first(train)))
-    return changed(settings, {"folds": folds, "block": max(1, min(longest, samples // 2))})
+    folds, longest = min(_TRYING_FOLDS, samples // 2), memory(physics, _first(train))
+    block = min(max(longest, settings.data.block), samples // folds)
+    return changed(settings, {"folds": folds, "block": block}), longest > samples // 2
 
 
 def _first(record: Record) -> Record:
@@ -185,8 +194,10 @@ def _race(
     advance = jit_members(plan.fit.advance, plan.mapping).lower(states[0], choices[0]).compile()
     per_call = plan.fit.settings.blocks * plan.fit.settings.validate_every
     trained, going = [0] * len(among), list(range(len(among)))
-    masks = np.asarray(plan.data.validation.mask)
-    apart = min(len(masks), masks.any(0).sum() / masks.sum((1, 2, 3)).mean())
+
+    def tried() -> list[Tried]:
+        return [Tried(*one) for one in zip(among, curves, trained, strict=True)]
+
     for share in _ROUNDS:
         epochs = max(1, math.ceil(share * settings.fit.epochs))
         ends = jnp.full(len(plan.members), epochs, jnp.int32)
@@ -196,9 +207,9 @@ def _race(
                 curves[i] = np.concatenate([curves[i], _finite(history.validation)], axis=1)
                 trained[i] = min(trained[i] + per_call, epochs)
         notify(f"recipe=auto: {len(going)} of {len(among)} candidates after {epochs} epochs")
-        found = [Tried(*one, apart) for one in zip(among, curves, trained, strict=True)]
-        going = sorted(going, key=lambda i: found[i].score)[: math.ceil(len(going) / _KEEP)]
-    return found
+        scores = [one.score for one in tried()]
+        going = sorted(going, key=scores.__getitem__)[: math.ceil(len(going) / _KEEP)]
+    return tried()
 
 
 def _finite(losses: Any) -> np.ndarray:
@@ -235,7 +246,7 @@ def _clearly_better(tried: Sequence[Tried]) -> Tried:
 
 def _beats(other: Tried, simpler: Tried) -> bool:
     gains, count = simpler.left_out - other.left_out, len(simpler.left_out)
-    doubt = student.ppf(_SURE, count - 1) * np.std(gains, ddof=1) / math.sqrt(simpler.apart) if count > 1 else 0.0
+    doubt = student.ppf(_SURE, count - 1) * np.std(gains, ddof=1) / math.sqrt(count) if count > 1 else 0.0
     return bool(np.mean(gains) > max(doubt, _GAIN))
 
 

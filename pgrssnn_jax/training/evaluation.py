@@ -9,14 +9,16 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.rollout import Trajectory, rollout
 from pgrssnn_jax.records.record import Array, Record, take, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
+from pgrssnn_jax.training.intervals import Intervals, inside
 from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.metrics import all_metrics, rmse
 from pgrssnn_jax.training.objective import MemberData, Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
 from pgrssnn_jax.training.plan import MemberTests, Plan
+from pgrssnn_jax.training.shares import network_share
 
 _FIGURES = ("rmse", "nrmse", "fit_percent", "cc")
 
@@ -38,11 +40,15 @@ class Trained(NamedTuple):
 
 class Predictions(NamedTuple):
     """Free runs with the best parameters of every member, in measured units: y `[member, seq, time, y]`; finite
-    `[member]` is False where a state left the floating-point range; x0 `[member, seq, x]`: where the runs started."""
+    `[member]` is False where a state left the floating-point range; x0 `[member, seq, x]`: where the runs started;
+    x `[member, seq, time, x]`: states; alone: y of the same members without their networks, None for a black box and
+    where there are no networks."""
 
     y: np.ndarray
     finite: np.ndarray
     x0: np.ndarray
+    x: np.ndarray | None = None
+    alone: np.ndarray | None = None
 
 
 def has_failed(outcome: int) -> bool:
@@ -62,29 +68,43 @@ def predict(trained: Trained, test: Record, data: MemberData | None = None) -> t
     """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in; beside
     it the outputs on the validation records, where the data of training are at hand, in one program."""
 
+    objective = trained.objective
+
     def on_test(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
-        x0 = trained.objective.test_state(state.best, scaling, start, test)
-        return *_free_run(trained.objective, state, scaling, test.u, x0, valid_mask(test)), x0
+        x0 = objective.test_state(state.best, scaling, start, test)
+        run = _free_run(objective, state, scaling, test.u, x0, valid_mask(test))
+        alone = _without_networks(objective, state, scaling, test, x0)
+        return run.y, _finite(run), x0, run.x, *alone
 
-    def on_both(state: MemberState, data: MemberData, test: Record) -> tuple[Array, ...]:
-        start = trained.objective.trained_start(state.best, data)
-        return *on_test(state, data.scaling, start, test), trained.objective.validate(state.best, data).y
+    def on_both(state: MemberState, data: MemberData, test: Record) -> tuple[Any, ...]:
+        start = objective.trained_start(state.best, data)
+        return on_test(state, data.scaling, start, test), objective.validate(state.best, data).y
 
+    validated = None
     if data is not None:
-        y, finite, x0, aside = jit_members(on_both, trained.mapping)(trained.state, data, test)
+        found, aside = jit_members(on_both, trained.mapping)(trained.state, data, test)
         validated = _measured(aside, trained.units)
     else:
         start = trained.start.astype(np.float32)
-        y, finite, x0 = jit_members(on_test, trained.mapping)(trained.state, trained.scaling, start, test)
-        validated = None
-    return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0)), validated
+        found = jit_members(on_test, trained.mapping)(trained.state, trained.scaling, start, test)
+    y, finite, x0, x, *alone = found
+    without = _measured(alone[0], trained.units) if alone else None
+    run = Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0), np.asarray(x), without)
+    return run, validated
+
+
+def validated_outputs(trained: Trained, data: MemberData) -> np.ndarray:
+    """What every member predicts of its validation record, `[member, seq, time, y]` in measured units."""
+    y = jit_members(lambda s, d: trained.objective.validate(s.best, d).y, trained.mapping)(trained.state, data)
+    return _measured(y, trained.units)
 
 
 def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions:
     """Runs every member from u `[seq, time, u]` in measured units and x0 `[member, seq, x]` in the physics' units."""
 
     def one(state: MemberState, scaling: Scaling, units: Units, x0: Array) -> tuple[Array, ...]:
-        return _free_run(trained.objective, state, scaling, units.u.to_scaled(jnp.asarray(u, jnp.float32)), x0, None)
+        run = _free_run(trained.objective, state, scaling, units.u.to_scaled(jnp.asarray(u, jnp.float32)), x0, None)
+        return run.y, _finite(run)
 
     start = jnp.asarray(x0, jnp.float32)
     y, finite = jit_members(one, trained.mapping)(trained.state, trained.scaling, trained.units, start)
@@ -93,9 +113,23 @@ def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions
 
 def _free_run(
     objective: Objective, state: MemberState, scaling: Scaling, u: Array, x0: Array, valid: Array | None
-) -> tuple[Array, Array]:
-    run = rollout(objective.model, objective.assemble(state.best, scaling), u, x0, valid=valid)
-    return run.y, (run.first_bad == u.shape[1]).all()
+) -> Trajectory:
+    return rollout(objective.model, objective.assemble(state.best, scaling), u, x0, valid=valid)
+
+
+def _without_networks(
+    objective: Objective, state: MemberState, scaling: Scaling, test: Record, x0: Array
+) -> tuple[Array, ...]:
+    """y of the physics of a member alone, where it has networks beside it."""
+    model = objective.model
+    if model.graph is None or not model.spec.guided:
+        return ()
+    params = objective.assemble(state.best, scaling)
+    return (rollout(model._replace(graph=None), params, test.u, x0, valid=valid_mask(test)).y,)
+
+
+def _finite(run: Trajectory) -> Array:
+    return (run.first_bad == run.y.shape[1]).all()
 
 
 def _measured(y: Array, units: Units) -> np.ndarray:
@@ -155,6 +189,43 @@ def ensemble(rows: Sequence[dict[str, Any]], test: Record, predictions: Predicti
         return missing, missing
     chosen = predictions.y[finished].astype(np.float64)
     return chosen.mean(0), chosen.std(0)
+
+
+def groups(rows: Sequence[dict[str, Any]], ensemble_mean: np.ndarray) -> list[list[int]]:
+    """Finished members that were tested on the same record: all, or those of each dataset."""
+    finished = [i for i, row in enumerate(rows) if row["status"] == "ok"]
+    if np.isfinite(ensemble_mean).any() or not finished:
+        return [finished] if finished else []
+    datasets = list(dict.fromkeys(rows[i]["dataset"] for i in finished))
+    return [[i for i in finished if rows[i]["dataset"] == dataset] for dataset in datasets]
+
+
+def interval_figures(
+    intervals: Intervals, together: Sequence[Sequence[int]], tests: MemberTests, predictions: Predictions, level: float
+) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    """How many measurements of the test record the intervals hold and how wide they are, per output, mean over the
+    groups of members `together`; and the ends of the first group's interval, `[seq, time, y]`."""
+    ends, figures = [], []
+    for group in together:
+        y_hat, u = predictions.y[group].astype(np.float64), np.asarray(tests.measured.u[group[0]], np.float64)
+        mean = y_hat.mean(0)
+        half = intervals.half_width(mean, y_hat.std(0), u, level)
+        figures.append(inside(take(tests.measured, group[0]), mean, half, tests.n_inits[0]))
+        ends.append((mean - half, mean + half))
+    coverage, width = np.mean(figures, axis=0)
+    return {"level": level, "coverage": coverage.tolist(), "width": width.tolist()}, *ends[0]
+
+
+def network_figures(
+    rows: Sequence[dict[str, Any]], tests: MemberTests, predictions: Predictions
+) -> dict[str, list[float]] | None:
+    """The share of the networks per output, mean over finished members (`shares.py`); None where they stand alone, or
+    there are none."""
+    finished = [i for i, row in enumerate(rows) if row["status"] == "ok"]
+    if predictions.alone is None or not finished:
+        return None
+    shares = [network_share(take(tests.measured, i), predictions.y[i], predictions.alone[i]) for i in finished]
+    return {"share": np.mean(shares, axis=0).tolist()}
 
 
 def summary(

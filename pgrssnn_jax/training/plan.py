@@ -174,8 +174,8 @@ def _per_member(
     if not settings.data.folds:
         return train, validation
     seeds = [member.seed for member in members]
-    folds, block = settings.data.folds, settings.data.block
-    return kfold_masks(train, validation, seeds, folds, block, one_record=one_record)
+    shared = settings.data
+    return kfold_masks(train, validation, seeds, shared.folds, shared.block, lead=shared.lead, one_record=one_record)
 
 
 def _windows_to_report(initial: InitialState, wanted: Sequence[int], test: Record) -> list[int]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 #: settings that `recipe=auto` chooses (`training/choose.py`), unless they are given
 CHOSEN = (
     *("correction", "start_from_physics", "networks", "learning_rate", "physics_parameters"),
-    *("patience", "initial_state", "folds", "block"),
+    *("patience", "initial_state", "folds", "block", "lead", "n_init"),
 )
 
 

@@ -28,7 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 _GROUPS = ("physics", "data", "model", "fit", "members")  # of every configuration of training
 _RESULTS = (
-    "DONE", "FAILED", "traceback.txt", "metrics.json", "predictions.npz", "history.csv", "report.html",
+    "DONE", "FAILED", "traceback.txt", "metrics.json", "predictions.npz", "intervals.npz", "history.csv", "report.html",
     "discovery.json", "discovery.npz",
 )  # fmt: skip
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")

@@ -82,6 +82,7 @@ class DataSettings:
     published_scaling: bool = False  # True: the physics acts on standardised signals, as in the published code
     folds: int = 0  # k: member by seed, another k-th of the record validates, blocks taking turns; 0: its own split
     block: int = 32  # samples of such a block
+    lead: int = 0  # first samples of a record that all members train on, so that each knows where it starts
     window: int | None = None  # samples per training sequence; None: sequences stay whole
 
 

@@ -1,0 +1,60 @@
+"""What members predict of the samples that they did not train on, and how far it can be believed."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+
+from pgrssnn_jax.records.record import Record
+
+
+class LeftOut(NamedTuple):
+    """Predictions of samples by members that did not train on them, `[run, time, channel]`: predicted, spread (standard
+    deviation over all members), errors, inputs; measured: which of them count."""
+
+    predicted: Float[np.ndarray, "run time y"]
+    spread: Float[np.ndarray, "run time y"]
+    error: Float[np.ndarray, "run time y"]
+    u: Float[np.ndarray, "run time u"]
+    measured: Bool[np.ndarray, "run time y"]
+
+
+def left_out(
+    validated: Float[np.ndarray, "member seq time y"],
+    validation: Record,
+    datasets: Sequence[int],
+    usable: Sequence[int],
+) -> LeftOut:
+    """validated: predictions of the records `validation` `[member, seq, time, channel]`, whose mask says what each
+    member left out; usable: members that have not failed. Members of one dataset share its record."""
+    parts = []
+    for dataset in sorted({datasets[i] for i in usable}):
+        own = [i for i in usable if datasets[i] == dataset]
+        y_hat, mask = validated[own].astype(np.float64), np.asarray(validation.mask)[own]
+        count = mask.sum(0)
+        predicted = np.where(count, (y_hat * mask).sum(0) / np.maximum(count, 1), y_hat.mean(0))
+        y, u = (np.asarray(a)[own[0]].astype(np.float64) for a in (validation.y, validation.u))
+        parts.append(LeftOut(predicted, y_hat.std(0), np.where(count, y - predicted, 0.0), u, count > 0))
+    return LeftOut(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def at_epoch_of_others(losses: Float[np.ndarray, "member epoch"]) -> Float[np.ndarray, " member"]:
+    """The losses of members at the epoch that is best for all others, by the mean of their logarithms, so that what a
+    member leaves out has no part in the choice of its epoch; of one member alone the least."""
+    if len(losses) == 1:
+        return losses.min(1)
+    logs = np.log(losses)
+    others = logs.sum(0) - logs
+    return losses[np.arange(len(others)), np.argmin(others, axis=1)]
+
+
+def optimism(losses: Float[np.ndarray, "member epoch"]) -> float:
+    """How many times larger left-out errors are than they look, because each member keeps the epoch at which they are
+    least: the ratio of both, mean over members; losses: mean squared errors, NaN where a member was not validated."""
+    validated = pd.DataFrame(losses).dropna(axis=1, how="all")
+    carried = validated.ffill(axis=1).dropna().to_numpy()  # a member that has stopped stays as it was
+    if not carried.size or not carried.min() > 0:
+        return 1.0
+    return float(np.exp(0.5 * np.mean(np.log(at_epoch_of_others(carried)) - np.log(carried.min(1)))))
