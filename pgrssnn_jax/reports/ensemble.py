@@ -150,7 +150,10 @@ class Ensemble:
         if len(usable):
             found = left_out(validated, plan.validation, [m.dataset for m in plan.members], usable.tolist())
             seen = (plan.train, plan.validation)
-            self._intervals = calibrate(found, seen, optimism(self.losses.validation))
+            # members that all leave out the same record have no epoch of others
+            self._intervals = calibrate(
+                found, seen, optimism(self.losses.validation) if self.settings.data.folds else 1.0
+            )
 
     def _known_start(self) -> Float[np.ndarray, "member x"]:
         initial, count = self.trained.objective.initial, len(self.trained.members)
@@ -193,6 +196,7 @@ class Ensemble:
             "n_train": self.n_train,
             "dt": self.physics.dt,
             "outputs": [channel._asdict() for channel in measured.info.outputs],
+            "signals": {kind: [[s.name, s.unit] for s in getattr(self.physics, kind)] for kind in ("inputs", "states")},
             "members": rows,
             "summary": evaluation.summary(rows, measured, mean, tests.n_inits),
             **more,

@@ -4,13 +4,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pgrssnn_jax.reports import content, markup, tables
+from pgrssnn_jax.reports import content, explained, markup, tables
 from pgrssnn_jax.reports.content import MISSING, Metrics, rounded
 from pgrssnn_jax.reports.markup import Markup, banner, bullets, card, tag
 
 CAPTIONS = {
     "Prediction": "Free-run simulation of the test record. What the model explains lies on the measured line; what it"
-    " does not is left in the residual below. Thin lines are members, the band is one standard deviation over them.",
+    " does not is left in the residual below. Thin lines are members. The band is the interval, calibrated on what"
+    " members left out of training (in runs of before there was one, a standard deviation over members).",
+    "Network": "What the networks add to the physics. Where the blue line follows the grey one, they supply what the"
+    " physics lacks; the panels below show at which inputs and states. Effects that discovery can name look like this.",
     "Arm": "Poses of the arm at evenly spaced times of the sequence, all to one scale and seen from a little above: a"
     " wrong pose shows as blue beside the grey. The light line on the floor is the measured arm from above. The curve"
     " is the error that this makes at the tip; its numbered lines are the moments above.",
@@ -47,12 +50,13 @@ def run_html(
         title=content.heading(metrics),
         heading=content.heading(metrics),
         facts=[content.source(metrics), content.outputs(metrics), *facts],
-        banners=_banners(metrics),
+        banners=[*_banners(metrics), *explained.banners(metrics, environment)],
         cards=_cards(metrics),
         links=links | {"numbers": "Numbers", "members": "Members, one by one", "reproduce": "Reproduce"},
         sections=[
             *_figures(figures, animation),
             *_numbers(metrics),
+            *_choice(metrics),
             markup.reproduce(config_text, environment),
         ],
         footer="Made by pgrssnn_jax from metrics.json, history.csv and predictions.npz of this run folder.",
@@ -86,6 +90,7 @@ def _cards(metrics: Metrics) -> list[Markup]:
         card("RMSE, best", rounded(head.best, unit), best),
         card("RMSE, ensemble", rounded(head.ensemble, unit), "error of the mean prediction"),
         card("NRMSE, mean", rounded(head.nrmse), f"{several}RMSE / std of the measured output"),
+        *explained.cards(metrics),
         card("members finished", done, f"{summary['failed']} failed"),
         card("time", *content.spent(metrics["seconds"])),
     ]
@@ -109,4 +114,15 @@ def _numbers(metrics: Metrics) -> list[Markup]:
         tag("p", note, look="note"),
         *([tables.output_table(metrics).html()] if several else []),
         tag("section", tables.member_table(metrics).html(), id="members"),
+    ]
+
+
+def _choice(metrics: Metrics) -> list[Markup]:
+    """How `recipe=auto` chose the settings of the run, where it did."""
+    recipe = metrics.get("recipe")
+    if not recipe or not recipe.get("tried"):
+        return []
+    return [
+        tag("h2", "How the settings were chosen", id="choice"),
+        explained.chosen_table(recipe, content.heading(metrics)).html(),
     ]

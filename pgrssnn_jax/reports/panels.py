@@ -23,19 +23,19 @@ class Curve(NamedTuple):
 
 class Signals(NamedTuple):
     """One sequence: time `[time]` (s), measured `[time, y]`, NaN where nothing was; outputs: `name` and `unit` of each;
-    members `[member, time, y]` and their std `[time, y]` around the first curve."""
+    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve."""
 
     outputs: Sequence[Mapping[str, Any]]
     time: np.ndarray
     measured: np.ndarray
     curves: Sequence[Curve]
     members: np.ndarray
-    std: np.ndarray
+    half_width: np.ndarray
 
     def cut(self, start: int, stop: int) -> "Signals":
         curves = [curve._replace(values=curve.values[start:stop]) for curve in self.curves]
-        members, std = self.members[:, start:stop], self.std[start:stop]
-        return Signals(self.outputs, self.time[start:stop], self.measured[start:stop], curves, members, std)
+        members, half = self.members[:, start:stop], self.half_width[start:stop]
+        return Signals(self.outputs, self.time[start:stop], self.measured[start:stop], curves, members, half)
 
     def label(self, k: int, name: str = "") -> str:
         return style.label(name or str(self.outputs[k]["name"]), str(self.outputs[k].get("unit") or ""))
@@ -112,15 +112,15 @@ def draw_residuals(ax: Axes, signals: Signals, k: int, *, x: str = "time (s)") -
 
 
 def _draw_members(ax: Axes, signals: Signals, k: int, base: np.ndarray, sign: float) -> list[np.ndarray]:
-    """The members and their spread, less `base`; returns the ends of the spread."""
-    members, std = signals.members[..., k], signals.std[:, k]
+    """The members and the band, less `base`; returns the ends of the band."""
+    members, half = signals.members[..., k], signals.half_width[:, k]
     if not len(members):
         return []
     faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(members), 0.06, 0.45))}
     ax.plot(signals.time, sign * (members - base).T, **faint)
     middle = sign * (signals.curves[0].values[:, k] - base)
-    ax.fill_between(signals.time, middle - std, middle + std, color=style.SKY, alpha=0.30, linewidth=0)
-    return [middle - std, middle + std]
+    ax.fill_between(signals.time, middle - half, middle + half, color=style.SKY, alpha=0.30, linewidth=0)
+    return [middle - half, middle + half]
 
 
 def draw_overview(ax: Axes, signals: Signals, k: int, stop: int) -> None:

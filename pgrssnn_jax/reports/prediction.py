@@ -13,16 +13,19 @@ from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, panels, style
 from pgrssnn_jax.reports.content import Metrics, rounded
+from pgrssnn_jax.training.intervals import LEVEL
 
 
 class Compared(NamedTuple):
-    """What is compared with the measurement: members `[member, seq, time, y]`, their mean and std, and their names."""
+    """What is compared with the measurement: members `[member, seq, time, y]`, their mean, half the width of the band
+    around it, and their names."""
 
     y_hat: np.ndarray
     mean: np.ndarray
-    std: np.ndarray
+    half_width: np.ndarray
     label: str
     remark: str
+    band: str = "±1 std over members"
 
 
 def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Figure:
@@ -39,9 +42,9 @@ def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -
     body = -(-n_y // min(n_y, 2)) * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
     extent = f"{found.remark}{panels.extent(0, stop, time, n_seq)} · {content.source(metrics)}"
     figure = style.page(body, metrics, [result, extent])
-    members, mean, std = (panels.finite(array[..., 0, :, :]) for array in found[:3])
+    members, mean, half_width = (panels.finite(array[..., 0, :, :]) for array in found[:3])
     curve = panels.Curve(found.label, mean, style.BLUE, style.VERMILLION)
-    signals = panels.Signals(outputs, dt * np.arange(time), measured[0], [curve], members, std)
+    signals = panels.Signals(outputs, dt * np.arange(time), measured[0], [curve], members, half_width)
     for k, axes in enumerate(panels.pair_axes(figure, n_y, ratios)):
         panels.draw_signal(axes[0], signals.cut(0, stop), k)
         panels.draw_residuals(axes[1], signals.cut(0, stop), k)
@@ -56,7 +59,7 @@ def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -
     if len(members):
         handles += [
             style.key(found.label, style.BLUE, linewidth=1.4),
-            Patch(facecolor=style.SKY, alpha=0.35, label="±1 std over members"),
+            Patch(facecolor=style.SKY, alpha=0.35, label=found.band),
             style.key("members", style.BLUE, linewidth=0.7, alpha=0.5),
             style.key(f"residual: measured − {found.label}", style.VERMILLION, linewidth=1.2),
         ]
@@ -73,11 +76,16 @@ def compared(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Compare
     members, y_hat = metrics["members"], np.asarray(predictions["y_hat"], np.float64)
     ok = np.array([member["status"] == "ok" for member in members], bool)
     mean, std = (np.asarray(predictions[name], np.float64) for name in ("ensemble_mean", "ensemble_std"))
-    if not ok.any() or np.isfinite(mean).any():
-        return Compared(y_hat[ok], mean, std, "ensemble mean", "")
-    dataset = members[0]["dataset"]
-    ok &= np.array([member["dataset"] == dataset for member in members], bool)
-    remark = f"only dataset {dataset}: members have test records of their own, hence no ensemble · "
-    if ok.any():
-        mean, std = y_hat[ok].mean(0), y_hat[ok].std(0)
-    return Compared(y_hat[ok], mean, std, f"mean of dataset {dataset}", remark)
+    found = Compared(y_hat[ok], mean, std, "ensemble mean", "")
+    if ok.any() and not np.isfinite(mean).any():
+        dataset = members[0]["dataset"]
+        ok &= np.array([member["dataset"] == dataset for member in members], bool)
+        remark = f"only dataset {dataset}: members have test records of their own, hence no ensemble · "
+        if ok.any():
+            mean, std = y_hat[ok].mean(0), y_hat[ok].std(0)
+        found = Compared(y_hat[ok], mean, std, f"mean of dataset {dataset}", remark)
+    if "interval_low" in predictions and ok.any():
+        low, high = (np.asarray(predictions[f"interval_{end}"], np.float64) for end in ("low", "high"))
+        level = (metrics.get("interval") or {}).get("level", LEVEL)
+        found = found._replace(half_width=(high - low) / 2, band=f"{100 * level:g} % interval")
+    return found

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
 from pgrssnn_jax.reports.discovery_page import discovery_html
 from pgrssnn_jax.reports.members import members_figure, training_figure
+from pgrssnn_jax.reports.network import network_figure
 from pgrssnn_jax.reports.page import run_html
 from pgrssnn_jax.reports.prediction import prediction_figure
 from pgrssnn_jax.reports.stick import stick_animation, stick_figure
@@ -28,6 +29,8 @@ def write_report(run: RunFolder) -> None:
     history = pd.read_csv(run.path / "history.csv")
     moves = {"skeleton_measured", "skeleton_predicted"} <= predictions.keys()
     drawn = {"Prediction": prediction_figure(predictions, metrics)}
+    if metrics.get("network") and "network" in predictions:
+        drawn["Network"] = network_figure(predictions, metrics)
     drawn |= {"Arm": stick_figure(predictions, metrics)} if moves else {}
     drawn |= {"Training": training_figure(history, metrics), "Members": members_figure(metrics)}
     animation = stick_animation(predictions, metrics) if moves else ""

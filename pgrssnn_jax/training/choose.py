@@ -9,8 +9,8 @@ remembers, where the record has room for them (`blocks.py`); the members that ar
 ones, and lose less of the record. The candidates are trained one after another by one program, in rounds: after a
 twentieth of the epochs the best third goes on, and so again, until the best after three tenths is chosen. The physics
 alone is always among them, and others replace it only if they beat it in a one-sided t test of the members'
-differences. Where the physics remembers more than half of the only record, it is alone: in such a record nothing tells
-how networks do in a free run. Where nothing is known of the start of records, it is always found by least squares.
+differences. Where the physics remembers more than half of the only record, it is alone, and its parameters are trained
+only if that halves the error: in such a record nothing tells how a model does in a free run. Where nothing is known of the start of records, it is always found by least squares.
 Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification, AISTATS 2016.
 """
 
@@ -43,6 +43,7 @@ SCORE = "left-out NRMSE"
 _ROUNDS = (0.05, 0.15, 0.3)  # of the epochs
 _KEEP = 3  # one candidate of so many goes on to the next round
 _GAIN = 0.1  # of log E, 10 % of the squared error: less is not worth what networks may do outside their range
+_HALF = math.log(4.0)  # of log E, half the error: what counts where blocks are shorter than the system remembers
 _LARGE, _SMALL = 1e9, 1e-12  # squared scaled error of what has left the range, and of what no float32 tells from none
 _SURE = 0.75  # level of the test: less certain gains are left to the physics
 _FOLDS = (5, 10)  # of the members: least and most
@@ -106,19 +107,19 @@ def choose_settings(
     usual = recipe_for(train.info.benchmark).split(discovered=physics.discovered)[1]
     follows = _of_record(train, validation, settings, usual)
     settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
-    race, alone = settings, False
+    race, short = settings, False
     if not {"folds", "block"} & set(held):
-        race, alone = _with_long_blocks(settings, physics, train, validation)
-    if alone:
+        race, short = _with_long_blocks(settings, physics, train, validation)
+    if short:
         notify("recipe=auto: the physics alone, because it remembers more than half of the only record")
     starts: Starts = "never"
     if settings.data.folds and physics.differentiable:
         starts = "always" if train.info.start == "unknown" else "perhaps"
-    among = candidates(settings, physics, held, usual, starts=starts, networks=not alone)
+    among = candidates(settings, physics, held, usual, starts=starts, networks=not short)
     tried = _race(physics, train, validation, race, among, stop, notify)
     if stop.is_set():
         return None
-    best = _clearly_better(tried)
+    best = _clearly_better(tried, _HALF if short else _GAIN)
     tried = sorted(tried, key=lambda one: (one is not best, one.score))
     nominal = min((one for one in tried if is_alone(one.settings)), key=lambda one: one.score, default=best)
     beside = "" if nominal is best else f" (physics alone {nominal.nrmse:.3g})"
@@ -162,11 +163,12 @@ def _with_long_blocks(
         return settings, False
     aside = train.validation if validation is None else validation
     first, second = (None if r is None else _first(r) for r in (train, aside))
+    own = second is not None and first is not None and is_later(first, second)
     if first is not None and second is not None and continues(first, second):
         samples += second.u.shape[-2]
     folds, longest = min(_TRYING_FOLDS, samples // 2), memory(physics, _first(train))
     block = min(max(longest, settings.data.block), samples // folds)
-    return changed(settings, {"folds": folds, "block": block}), longest > samples // 2
+    return changed(settings, {"folds": folds, "block": block}), longest > samples // 2 and not own
 
 
 def _first(record: Record) -> Record:
@@ -231,23 +233,23 @@ def _smaller(plan: Plan) -> Plan:
     )
 
 
-def _clearly_better(tried: Sequence[Tried]) -> Tried:
-    """The best candidate of the simplest kind that no other kind clearly beats."""
+def _clearly_better(tried: Sequence[Tried], least: float) -> Tried:
+    """The best candidate of the simplest kind that no other kind clearly beats; least: gain of log E that counts."""
     kinds: list[list[Tried]] = [[], [], []]
     for one in tried:
         kinds[_kind(one.settings)].append(one)
     first, *others = (min(kind, key=lambda one: one.score) for kind in kinds if kind)
     chosen = first
     for other in others:
-        if _beats(other, chosen):
+        if _beats(other, chosen, least):
             chosen = other
     return chosen
 
 
-def _beats(other: Tried, simpler: Tried) -> bool:
+def _beats(other: Tried, simpler: Tried, least: float) -> bool:
     gains, count = simpler.left_out - other.left_out, len(simpler.left_out)
     doubt = student.ppf(_SURE, count - 1) * np.std(gains, ddof=1) / math.sqrt(count) if count > 1 else 0.0
-    return bool(np.mean(gains) > max(doubt, _GAIN))
+    return bool(np.mean(gains) > max(doubt, least))
 
 
 def _kind(settings: TrainingSettings) -> int:

@@ -12,7 +12,10 @@ from pgrssnn_jax.records.record import Record
 
 class LeftOut(NamedTuple):
     """Predictions of samples by members that did not train on them, `[run, time, channel]`: predicted, spread (standard
-    deviation over all members), errors, inputs; measured: which of them count."""
+    deviation over all members), errors, inputs; measured: which of them count.
+
+    Errors are those of a mean over all n members: where only c of them left a sample out, their mean has d² (1/c - 1/n)
+    more variance, d: spread, and errors are as much smaller, on average over the record."""
 
     predicted: Float[np.ndarray, "run time y"]
     spread: Float[np.ndarray, "run time y"]
@@ -36,7 +39,10 @@ def left_out(
         count = mask.sum(0)
         predicted = np.where(count, (y_hat * mask).sum(0) / np.maximum(count, 1), y_hat.mean(0))
         y, u = (np.asarray(a)[own[0]].astype(np.float64) for a in (validation.y, validation.u))
-        parts.append(LeftOut(predicted, y_hat.std(0), np.where(count, y - predicted, 0.0), u, count > 0))
+        error, spread, measured = np.where(count, y - predicted, 0.0), y_hat.std(0), count > 0
+        more = np.where(measured, spread**2 * (1.0 / np.maximum(count, 1) - 1.0 / len(own)), 0.0).sum((0, 1))
+        squares = np.maximum((error**2).sum((0, 1)), np.finfo(float).tiny)
+        parts.append(LeftOut(predicted, spread, error * np.sqrt(np.maximum(1.0 - more / squares, 0.0)), u, measured))
     return LeftOut(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
