@@ -18,10 +18,10 @@ from pgrssnn_jax.reports.prediction import compared, prediction_figure
 from pgrssnn_jax.reports.tables import member_table
 from pgrssnn_jax.reports.write import write_report, yaml_text
 from pgrssnn_jax.training import evaluation
+from pgrssnn_jax.training.calibration import calibrated
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.evaluation import Predictions, Trained
-from pgrssnn_jax.training.intervals import LEVEL, Intervals, calibrate
-from pgrssnn_jax.training.left_out import left_out, optimism
+from pgrssnn_jax.training.intervals import LEVEL, Intervals
 from pgrssnn_jax.training.loop import Losses, losses_table
 from pgrssnn_jax.training.members import select
 from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests
@@ -142,18 +142,9 @@ class Ensemble:
         """What prediction intervals need beside a prediction, calibrated on what members left out; None where nothing
         was, and for a run of before there were any."""
         if self._intervals is None and self.plan is not None:
-            self._calibrate(evaluation.validated_outputs(self.trained, self.plan.data), self.plan)
+            validated = evaluation.validated_outputs(self.trained, self.plan.data)
+            self._intervals = calibrated(self.plan, validated, self._usable, self.losses)
         return self._intervals
-
-    def _calibrate(self, validated: np.ndarray, plan: Plan) -> None:
-        usable = np.flatnonzero(self._usable & np.isfinite(validated).all((1, 2, 3)))
-        if len(usable):
-            found = left_out(validated, plan.validation, [m.dataset for m in plan.members], usable.tolist())
-            seen = (plan.train, plan.validation)
-            # members that all leave out the same record have no epoch of others
-            self._intervals = calibrate(
-                found, seen, optimism(self.losses.validation) if self.settings.data.folds else 1.0
-            )
 
     def _known_start(self) -> Float[np.ndarray, "member x"]:
         initial, count = self.trained.objective.initial, len(self.trained.members)
@@ -178,7 +169,7 @@ class Ensemble:
         mean, deviation = evaluation.ensemble(rows, tests.measured, predictions)
         info, measured = test.info, tests.measured
         if self._intervals is None and plan is not None and validated is not None:
-            self._calibrate(validated, plan)
+            self._intervals = calibrated(plan, validated, self._usable, self.losses)
         together = evaluation.groups(rows, mean)
         more, arrays = self._explained(together, rows, tests, predictions)
         metrics = {

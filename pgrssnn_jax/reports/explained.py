@@ -33,7 +33,7 @@ def banners(metrics: Metrics, environment: Mapping[str, Any]) -> Iterator[Markup
     away = {name: share for name, share in (metrics.get("outside") or {}).items() if share >= _OUTSIDE}
     if away:
         named = ", ".join(f"{name} in {percent(share)} of the samples" for name, share in away.items())
-        yield banner("OUTSIDE THE RANGE OF TRAINING", f"{named}. There the networks extrapolate.")
+        yield banner("OUTSIDE THE RANGE OF TRAINING", f"{named}. There the model extrapolates.")
     share, error = over_outputs((metrics.get("network") or {}).get("share")), content.headline(metrics).nrmse
     if np.isfinite([share, error]).all() and share > error:
         words = (

@@ -52,7 +52,10 @@ def run_html(
         facts=[content.source(metrics), content.outputs(metrics), *facts],
         banners=[*_banners(metrics), *explained.banners(metrics, environment)],
         cards=_cards(metrics),
-        links=links | {"numbers": "Numbers", "members": "Members, one by one", "reproduce": "Reproduce"},
+        links=links
+        | {"numbers": "Numbers", "members": "Members, one by one"}
+        | ({"choice": "How the settings were chosen"} if _choice(metrics) else {})
+        | {"reproduce": "Reproduce"},
         sections=[
             *_figures(figures, animation),
             *_numbers(metrics),

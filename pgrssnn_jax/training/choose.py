@@ -10,7 +10,8 @@ ones, and lose less of the record. The candidates are trained one after another 
 twentieth of the epochs the best third goes on, and so again, until the best after three tenths is chosen. The physics
 alone is always among them, and others replace it only if they beat it in a one-sided t test of the members'
 differences. Where the physics remembers more than half of the only record, it is alone, and its parameters are trained
-only if that halves the error: in such a record nothing tells how a model does in a free run. Where nothing is known of the start of records, it is always found by least squares.
+only if that halves the error: in such a record nothing tells how a model does in a free run. Where nothing is known of
+the start of records, it is always found by least squares.
 Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification, AISTATS 2016.
 """
 

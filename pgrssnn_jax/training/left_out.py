@@ -9,13 +9,15 @@ from jaxtyping import Bool, Float
 
 from pgrssnn_jax.records.record import Record
 
+_LEAST = 0.5  # of the squared errors: a few members that are far off make d larger than any error
+
 
 class LeftOut(NamedTuple):
     """Predictions of samples by members that did not train on them, `[run, time, channel]`: predicted, spread (standard
     deviation over all members), errors, inputs; measured: which of them count.
 
     Errors are those of a mean over all n members: where only c of them left a sample out, their mean has d² (1/c - 1/n)
-    more variance, d: spread, and errors are as much smaller, on average over the record."""
+    more variance, d: spread, and errors are as much smaller, on average over the record, by half at most."""
 
     predicted: Float[np.ndarray, "run time y"]
     spread: Float[np.ndarray, "run time y"]
@@ -42,7 +44,7 @@ def left_out(
         error, spread, measured = np.where(count, y - predicted, 0.0), y_hat.std(0), count > 0
         more = np.where(measured, spread**2 * (1.0 / np.maximum(count, 1) - 1.0 / len(own)), 0.0).sum((0, 1))
         squares = np.maximum((error**2).sum((0, 1)), np.finfo(float).tiny)
-        parts.append(LeftOut(predicted, spread, error * np.sqrt(np.maximum(1.0 - more / squares, 0.0)), u, measured))
+        parts.append(LeftOut(predicted, spread, error * np.sqrt(np.maximum(1.0 - more / squares, _LEAST)), u, measured))
     return LeftOut(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
