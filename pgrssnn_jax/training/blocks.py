@@ -30,7 +30,7 @@ def memory(physics: Physics, train: Record) -> int:
     if not (np.isfinite(predicted).all() and np.isfinite(x).all()):
         return time
     errors = np.where(train.mask, y - predicted, 0.0)
-    longest = 2.0 * max(_correlation_time(errors[i, :, k]) for i in range(len(errors)) for k in range(errors.shape[2]))
+    longest = 2.0 * max(correlation_time(errors[i, :, k]) for i in range(len(errors)) for k in range(errors.shape[2]))
     for state, size in enumerate(_CHANGE * x.std((0, 1))):
         moved = x0.copy()
         moved[:, state] += size
@@ -46,8 +46,8 @@ def _memory(effect: Float[np.ndarray, "seq time y"]) -> float:
     return float(1 + np.flatnonzero(size > size.max() / np.e)[-1])
 
 
-def _correlation_time(error: Float[np.ndarray, " time"]) -> float:
-    """Σ_{k>0} ρ_k, summed over the first k that are at least `_WINDOW` times the sum; 0 for white noise."""
+def correlation_time(error: Float[np.ndarray, " time"]) -> float:
+    """Σ_{k>0} ρ_k in samples, summed over the first k that are at least `_WINDOW` times the sum; 0 for white noise."""
     time, centred = len(error), error - error.mean()
     products = np.fft.irfft(np.abs(np.fft.rfft(centred, 2 * time)) ** 2)[:time]
     if not products[0] > 0:

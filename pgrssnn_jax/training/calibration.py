@@ -1,10 +1,21 @@
-"""The intervals of trained members from the plan that they were trained by."""
+"""The intervals of trained members from the plan that they were trained by.
 
+A physics that discovery has fitted to the record has seen what members leave out. Their errors are then larger on other
+records by Akaike's final prediction error, for k numbers that were fitted to samples worth n independent ones:
+
+    E_other / E_left_out = (n + k) / (n - k),      n = samples / (1 + 2 Σ_{j>0} ρ_j)         ρ: of the left-out errors
+
+Source: Akaike, Fitting autoregressive models for prediction, Annals of the Institute of Statistical Mathematics 1969.
+"""
+
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pgrssnn_jax.physics.base import Physics, is_parameter
+from pgrssnn_jax.training.blocks import correlation_time
 from pgrssnn_jax.training.intervals import Intervals, calibrate
-from pgrssnn_jax.training.left_out import left_out, optimism
+from pgrssnn_jax.training.left_out import LeftOut, left_out, optimism
 from pgrssnn_jax.training.loop import Losses
 from pgrssnn_jax.training.plan import Plan
 
@@ -26,4 +37,18 @@ def calibrated(
     found = left_out(validated, aside, [m.dataset for m in plan.members], np.flatnonzero(usable).tolist())
     # members that all leave out the same record have no epoch of others
     more = optimism(losses.validation) if plan.settings.data.folds else 1.0
+    if plan.physics.discovered:
+        more *= _fitted_before(found, plan.physics)
     return calibrate(found, (plan.train, plan.validation), more)
+
+
+def _fitted_before(found: LeftOut, physics: Physics) -> float:
+    """sqrt(E_other / E_left_out), at most that of k = n / 2."""
+    numbers, parameters = jax.tree.leaves(physics.params), jax.tree.leaves(physics.parameters, is_leaf=is_parameter)
+    fitted = sum(np.size(n) for n, p in zip(numbers, parameters, strict=True) if p.trainable and np.isfinite(n).all())
+    independent = 0.0
+    for error, measured in zip(np.moveaxis(found.error, -1, 1), np.moveaxis(found.measured, -1, 1), strict=True):
+        for one, which in zip(error, measured, strict=True):
+            independent += which.sum() / (1.0 + 2.0 * correlation_time(np.where(which, one, 0.0)))
+    share = min(fitted / max(independent, 1.0), 0.5)
+    return float(np.sqrt((1.0 + share) / (1.0 - share)))

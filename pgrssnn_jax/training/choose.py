@@ -11,7 +11,8 @@ twentieth of the epochs the best third goes on, and so again, until the best aft
 alone is always among them, and others replace it only if they beat it in a one-sided t test of the members'
 differences. Where the physics remembers more than half of the only record, it is alone, and its parameters are trained
 only if that halves the error: in such a record nothing tells how a model does in a free run. Where nothing is known of
-the start of records, it is always found by least squares.
+the start of records, it is always found by least squares. A physics that discovery has fitted to the record is trained
+on with the default settings and networks that start at zero: no part of the record can tell which are better.
 Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification, AISTATS 2016.
 """
 
@@ -89,7 +90,7 @@ class Chosen(NamedTuple):
     def report(self) -> dict[str, Any]:
         """What `metrics.json` and `config.yaml` say of the choice."""
         tried = [{"settings": describe(t.settings), "left_out_nrmse": t.nrmse, "epochs": t.epochs} for t in self.tried]
-        return {"name": "auto", "chosen": tried[0]["settings"], "score": SCORE, "tried": tried}
+        return {"name": "auto", "chosen": describe(self.settings), "score": SCORE, "tried": tried}
 
 
 def choose_settings(
@@ -108,6 +109,12 @@ def choose_settings(
     usual = recipe_for(train.info.benchmark).split(discovered=physics.discovered)[1]
     follows = _of_record(train, validation, settings, usual)
     settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
+    if physics.discovered and settings.data.folds:
+        start = "estimated" if physics.differentiable else settings.run.initial_state
+        after = {"start_from_physics": True, "initial_state": start}
+        settings = changed(settings, {name: value for name, value in after.items() if name not in held})
+        notify("recipe=auto: training starts at the physics, because discovery has seen what members would leave out")
+        return Chosen(settings, [], time.perf_counter() - started)
     race, short = settings, False
     if not {"folds", "block"} & set(held):
         race, short = _with_long_blocks(settings, physics, train, validation)
