@@ -84,6 +84,31 @@ def test_an_ensemble_simulates_what_it_was_scored_on(ensemble, benchmark):
     np.testing.assert_array_equal(ensemble.simulate(test.u[0], start), ensemble.simulate(test.u[0], start[None]))
 
 
+def test_an_interval_surrounds_the_mean_and_is_kept_in_the_folder(ensemble, benchmark, tmp_path):
+    test = benchmark[1]
+    narrow, wide = (ensemble.simulate(test.u, interval=level) for level in (0.5, 0.9))
+    np.testing.assert_array_equal(wide.y, ensemble.simulate(test.u))
+    np.testing.assert_allclose(wide.mean, wide.y.astype(float).mean(0))
+    assert (wide.low < narrow.low).all()
+    assert (narrow.high < wide.high).all()
+    one = ensemble.simulate(test.u[0], interval=0.9)
+    assert one.y.shape == (2, 150, 1)
+    np.testing.assert_array_equal(one.low, wide.low[0])
+    interval = ensemble.evaluate(test).metrics["interval"]
+    inside = (test.y >= wide.low) & (test.y <= wide.high)
+    assert interval["coverage"] == pytest.approx([inside.mean()], abs=0.02)
+    assert interval["width"] == pytest.approx([(wide.high - wide.low).mean()], rel=1e-4)
+    ensemble.save(tmp_path / "run", test)
+    again = pg.load(tmp_path / "run").simulate(test.u, interval=0.9)
+    np.testing.assert_allclose(again.high, wide.high, rtol=1e-6)
+    (tmp_path / "run" / "intervals.npz").unlink()
+    with pytest.raises(ValueError, match="interval: expected a run that left samples out"):
+        pg.load(tmp_path / "run").simulate(test.u, interval=0.9)
+    np.savez(tmp_path / "run" / "intervals.npz", weights=np.zeros(3))
+    with pytest.raises(ValueError, match="intervals.npz: expected arrays of shapes"):
+        pg.load(tmp_path / "run")
+
+
 def test_one_member_is_a_rollout_of_its_numbers(ensemble, benchmark):
     u, x0 = benchmark[1].u.astype(np.float32), np.array([[4.0, 5.0]], np.float32)
     alone = pg.rollout(ensemble.model, ensemble.params(1), u, x0)

@@ -32,10 +32,10 @@ def kfold_masks(
     """The records of members `[member, seq, time, channel]` with masks by their seeds.
 
     folds: how many members share a record between them; block: samples that are set aside together; of a record with at
-    least `folds` sequences, whole sequences are. lead: first samples that are in no block. one_record: the validation
-    record was cut from the training record. A validation record that is a later part of the same measurement, with a
-    gap before it, is never trained on. Raises `ValueError` where the two records are not one, or
-    too short for every fold to have a block, or have no measured sample in a fold.
+    least `folds` sequences, whole sequences are. lead: first samples of every sequence that are never set aside.
+    one_record: the validation record was cut from the training record. A validation record that is a later part of the
+    same measurement, with a gap before it, is never trained on. Raises `ValueError` where the two records are not one,
+    or too short for every fold to have a block, or have no measured sample in a fold.
     """
     if folds < 2:
         raise ValueError(f"data.folds: expected 0 (the split of the data) or at least 2, found {folds}")
@@ -58,9 +58,7 @@ def kfold_masks(
         )
     sequence, sample = np.arange(n_seq)[:, None], np.arange(time)[None]
     fold = (np.where(by_sequence, 0, sample // block) + sequence) % folds
-    aside = fold == np.asarray(seeds)[:, None, None] % folds
-    if not by_sequence:
-        aside &= sample >= lead
+    aside = (fold == np.asarray(seeds)[:, None, None] % folds) & (sample >= lead)
     aside = (aside | (sequence >= trained))[..., None]
     seen, kept_back = (np.asarray(whole.mask) & which for which in (~aside, aside))
     for name, mask in (("train", seen), ("validate", kept_back)):

@@ -124,7 +124,7 @@ def choose_settings(
     if settings.data.folds and physics.differentiable:
         starts = "always" if train.info.start == "unknown" else "perhaps"
     among = candidates(settings, physics, held, usual, starts=starts, networks=not short)
-    tried = _race(physics, train, validation, race, among, stop, notify)
+    tried = [] if stop.is_set() else _race(physics, train, validation, race, among, stop, notify)
     if stop.is_set():
         return None
     best = _clearly_better(tried, _HALF if short else _GAIN)
@@ -155,8 +155,9 @@ def _of_record(
     folds = min(max(settings.run.n_seeds, _FOLDS[0]), _FOLDS[1])
     if n_seq < folds:
         folds = max(2, min(folds, samples // 2))
-    lead = min(settings.run.n_init, samples // _LEAD)
     block, n_init = max(1, min(_BLOCK, samples // folds)), max(1, min(settings.run.n_init, samples // _INIT))
+    # the start of a sequence that is left out whole is found as that of a test record is
+    lead = n_init if n_seq >= folds and train.info.start == "unknown" else min(n_init, samples // _LEAD)
     return {**follows, "folds": folds, "block": block, "lead": lead, "n_init": n_init}
 
 

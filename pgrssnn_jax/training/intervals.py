@@ -23,7 +23,8 @@ from pgrssnn_jax.training.left_out import LeftOut
 LEVEL = 0.9  # of the intervals that a run reports
 N_LEVELS = 401  # at which quantiles are stored
 _LEVELS = np.linspace(0.0, 1.0, N_LEVELS)
-_PRIOR = 1.0  # standard deviation of w: a signal's deviation changes the variance by a factor of e, give or take
+_PRIOR = 0.5  # standard deviation of w: a signal's deviation changes the variance by a factor of 1.6, give or take
+_FAR = 2.0  # deviations from the mean: beyond, the variance is as there, because few samples say what it is
 _BLOCK = 32  # samples that count as one, because errors of a free run follow each other; as `DataSettings.block`
 _TINY = 1e-12  # of the variance of an output: errors of a model that is exact
 
@@ -67,7 +68,7 @@ class Intervals(NamedTuple):
 
 def _scaled(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
     centre, scale, low, high = rows
-    return (np.clip(values, low, high) - centre) / scale
+    return np.clip((np.clip(values, low, high) - centre) / scale, -_FAR, _FAR)
 
 
 def calibrate(found: LeftOut, seen: Sequence[Record], optimism: float = 1.0) -> Intervals | None:

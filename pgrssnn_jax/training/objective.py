@@ -159,7 +159,8 @@ class Objective(NamedTuple):
         run over the training record goes on."""
         params, record = self.assemble(theta, data.scaling, data.choice), data.validation
         if record.info.same_run:
-            return self._predicted(params, record, self._train_state(theta, params, data))
+            whole = record._replace(mask=record.mask | data.train.mask)  # what others leave out is predicted too
+            return self._predicted(params, whole, self._train_state(theta, params, data))
         if not self.initial.trained or not continues(data.train, record):
             return self._predicted(params, record, start_state(self.model, params, record, self.initial))
         before = data.train.u.shape[1]

@@ -17,8 +17,8 @@ from pgrssnn_jax.reports.saved import load
 from pgrssnn_jax.training.run_folder import read_config
 
 FILES = {
-    "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "physics.json", "checkpoint",
-    "figures", "report.html", "DONE",
+    "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "intervals.npz",
+    "physics.json", "checkpoint", "figures", "report.html", "DONE",
 }  # fmt: skip
 
 
@@ -212,3 +212,24 @@ def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
     np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="run folder: expected one"):
         load(tmp_path)
+
+
+def test_a_run_with_chosen_settings_says_what_was_chosen_and_goes_on_with_it(tmp_path, benchmark):
+    run = trained(tmp_path / "run", *quick(benchmark, "recipe=auto", "n_seeds=2", "data.n_train=80"))
+    metrics, config = run.read_json("metrics.json"), read_config(run.path)
+    recipe = metrics["recipe"]
+    assert recipe["name"] == config["recipe"]["name"] == "auto"
+    assert recipe["tried"][0]["settings"] == recipe["chosen"] == config["recipe"]["chosen"]
+    assert any(one["settings"].startswith("the physics alone") for one in recipe["tried"])
+    assert "How the settings were chosen" in (run.path / "report.html").read_text(encoding="utf-8")
+    again = load(run.path)
+    assert again.recipe["chosen"] == recipe["chosen"]
+    assert again.settings.data.folds == config["data"]["folds"] > 0
+
+
+def test_own_data_chooses_its_settings_and_experiments_keep_theirs():
+    csv = ("physics=tanks", "data=csv", "data.train=A.csv", "data.test=B.csv")
+    assert composed(*csv)["recipe"] == "auto"
+    assert composed(*csv, "recipe=default")["recipe"] == "default"
+    assert composed("+experiment=cascaded_tank")["recipe"] == "cascaded_tank"
+    assert composed("+experiment=cascaded_tank", "recipe=auto")["recipe"] == "auto"
