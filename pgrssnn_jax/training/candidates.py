@@ -98,3 +98,21 @@ def shared_settings(settings: TrainingSettings, among: Sequence[TrainingSettings
         model=replace(settings.model, networks=True, correction=1.0, start_from_physics=False),
         fit=replace(settings.fit, physics_parameters="trained" if trained else "fixed", guard="rollback"),
     )
+
+
+def is_alone(settings: TrainingSettings) -> bool:
+    """Is nothing trained but, perhaps, the start?"""
+    return not settings.model.networks and settings.fit.physics_parameters == "fixed"
+
+
+def describe(settings: TrainingSettings) -> str:
+    """One line for people."""
+    fitted = settings.fit.physics_parameters == "trained"
+    if not settings.model.networks:
+        words = ["the physics alone", *(["its parameters trained"] if fitted else [])]
+        return ", ".join([*words, f"initial_state={settings.run.initial_state}"])
+    words = [f"correction={settings.model.correction:g}"] if settings.model.guided else []
+    words += ["start_from_physics=true"] if settings.model.start_from_physics and settings.model.guided else []
+    words += [f"learning_rate={settings.fit.learning_rate:g}"]
+    words += ["physics_parameters=trained"] if fitted else []
+    return ", ".join([*words, f"initial_state={settings.run.initial_state}"])

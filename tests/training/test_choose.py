@@ -8,9 +8,9 @@ import pytest
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.physics.tanks import cascaded_tanks
-from pgrssnn_jax.training.candidates import candidates
-from pgrssnn_jax.training.choose import Chosen, Tried, choose_settings, describe, is_alone
-from pgrssnn_jax.training.choose import _clearly_better as clearly_better
+from pgrssnn_jax.training.candidates import candidates, describe, is_alone
+from pgrssnn_jax.training.choose import Chosen, choose_settings
+from pgrssnn_jax.training.race import Tried, clearly_better
 from pgrssnn_jax.training.settings import training_settings
 
 QUICK = {"validate_every": 1, "chunk_epochs": 5, "hidden": 3, "quiet": True}
