@@ -109,19 +109,14 @@ def _of_record(
     train: Record, validation: Record | None, settings: TrainingSettings, usual: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Settings that follow from the record alone: its folds and blocks, where it starts, how long to wait."""
-    aside = train.validation if validation is None else validation
-    n_seq, samples = train.u.shape[-3:-1]
+    n_seq, (samples, shared, _) = train.u.shape[-3], _shared(train, validation)
     usual_start = usual.get("initial_state", "zero" if train.info.start == "rest" else "first_output")
     follows: dict[str, Any] = {
         "patience": max(1, int(_PATIENCE * settings.fit.epochs)),
         "initial_state": "first_output" if usual_start in ("estimated", "least_squares") else usual_start,
     }
-    first, second = (None if r is None else _first(r) for r in (train, aside))
-    whole = second is None or (first is not None and (continues(first, second) or is_later(first, second)))
-    if not whole or settings.data.window is not None:
+    if not shared or settings.data.window is not None:
         return follows
-    if second is not None and first is not None and continues(first, second):
-        samples += second.u.shape[-2]
     folds = min(max(settings.run.n_seeds, _FOLDS[0]), _FOLDS[1])
     if n_seq < folds:
         folds = max(2, min(folds, samples // 2))
@@ -137,17 +132,25 @@ def _with_long_blocks(
     """The settings with the folds of the members that try candidates: each leaves out blocks as long as the system
     remembers, where the record has room for them. True where it remembers more than half of the record, so that nothing
     in it tells how networks do in a free run."""
-    n_seq, samples = train.u.shape[-3:-1]
+    n_seq, (samples, _, later) = train.u.shape[-3], _shared(train, validation)
     if not settings.data.folds or n_seq >= settings.data.folds or not settings.model.guided:
         return settings, False
-    aside = train.validation if validation is None else validation
-    first, second = (None if r is None else _first(r) for r in (train, aside))
-    own = second is not None and first is not None and is_later(first, second)
-    if first is not None and second is not None and continues(first, second):
-        samples += second.u.shape[-2]
     folds, longest = min(_TRYING_FOLDS, samples // 2), memory(physics, _first(train))
     block = min(max(longest, settings.data.block), samples // folds)
-    return changed(settings, {"folds": folds, "block": block}), longest > samples // 2 and not own
+    return changed(settings, {"folds": folds, "block": block}), longest > samples // 2 and not later
+
+
+def _shared(train: Record, validation: Record | None) -> tuple[int, bool, bool]:
+    """How many samples of a sequence members can share, whether they can at all, and whether a later part of the same
+    measurement validates besides."""
+    samples, aside = train.u.shape[-2], train.validation if validation is None else validation
+    if aside is None:
+        return samples, True, False
+    first, second = _first(train), _first(aside)
+    if continues(first, second):
+        return samples + second.u.shape[-2], True, False
+    later = is_later(first, second)
+    return samples, later, later
 
 
 def _first(record: Record) -> Record:
