@@ -176,7 +176,8 @@ def test_the_own_physics_example_trains_on_own_data(tmp_path):
     metrics = json.loads((tmp_path / "run/metrics.json").read_text())
     assert metrics["system"] == "pendulum"
     assert metrics["outputs"] == [{"name": "angle", "unit": "rad"}]
-    assert metrics["summary"]["finished"] == 2
+    assert metrics["summary"]["finished"] == metrics["summary"]["planned"] > 0
+    assert metrics["recipe"]["name"] == "auto"
     code, _, err = called(
         "physics._target_=my_physics.pendulum", "+physics.length=0.5", "data=csv", "data.train=A.csv",
         "data.test=C.csv", cwd=tmp_path,

@@ -94,7 +94,7 @@ def test_own_arm_data_comes_as_columns_and_what_was_not_measured_has_no_pose(tmp
     short = tmp_path / "short.csv"
     lines = file.read_text().splitlines()
     short.write_text("\n".join(lines[:-10]) + "\n")  # the second sequence ends early
-    data = ["data=csv", f"data.train={file}", f"data.test={short}"]
+    data = ["data=csv", f"data.train={file}", f"data.test={short}", "recipe=default"]
     run = trained(tmp_path / "run", "physics=arm", *data, "initial_state=zero", "model=physics_only")
     metrics = metrics_of(run)
     assert metrics["summary"]["finished"] == 1
