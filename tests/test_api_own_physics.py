@@ -8,7 +8,8 @@ import pytest
 
 import pgrssnn_jax as pg
 
-QUICK = {"seeds": 2, "epochs": 2, "validate_every": 1, "chunk_epochs": 1, "hidden": 3, "quiet": True, "recipe": "default"}
+QUICK = {"seeds": 2, "epochs": 2, "validate_every": 1, "chunk_epochs": 1, "hidden": 3, "quiet": True}
+QUICK["recipe"] = "default"  # what is chosen is a matter of other tests
 CHEAP = {"draws": 99, "steps": 15, "starts": 1, "network_epochs": 0, "p_value": 0.02, "quiet": True}
 
 
