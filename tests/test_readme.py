@@ -81,8 +81,8 @@ def test_every_link_leads_somewhere(page):
 
 #: written by a run, or the reader's own
 _NOT_HERE = re.compile(
-    r"[A-Z]\.csv|my_\w+\.\w+|(config\.yaml|environment\.json|physics\.json|history\.csv|metrics\.json|predictions\.npz"
-    r"|report\.html|discovery\.(json|npz)|corrected\.(json|urdf)|traceback\.txt|tables\.\w+)"
+    r"[A-Z]\.csv|my_\w+\.\w+|(config\.yaml|environment\.json|physics\.json|history\.csv|metrics\.json"
+    r"|(predictions|intervals)\.npz|report\.html|discovery\.(json|npz)|corrected\.(json|urdf)|traceback\.txt|tables\.\w+)"
     r"|(checkpoint|figures)/.*|table1_tank/.*|runs/.+/.+"
 )
 

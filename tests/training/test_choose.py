@@ -83,6 +83,7 @@ def level(samples=240, seed=0, noise=0.02, **numbers):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_right_physics_stays_alone_and_says_so():
     record = level()
     said = []
