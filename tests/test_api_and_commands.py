@@ -26,6 +26,19 @@ def test_the_api_gives_the_numbers_of_the_command(name, tmp_path):
 
 
 @pytest.mark.slow
+def test_the_api_chooses_the_settings_of_the_command(tmp_path):
+    arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", "recipe=auto", "data.n_train=200"]
+    code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
+    assert not code, err
+    train, test = pg.load_benchmark("cascaded_tank", generated=True, n_train=200)
+    tanks = pg.physics.cascaded_tanks(clamp=True)
+    found = pg.fit("pg_rssnn", tanks, train, recipe="auto", seeds=2, **SMOKE).evaluate(test)
+    expected = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert found.metrics["recipe"]["chosen"] == expected["recipe"]["chosen"]
+    assert [m["test"] for m in found.metrics["members"]] == [m["test"] for m in expected["members"]]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "build", "more"),
     [

@@ -22,7 +22,8 @@ def metrics_of(run) -> dict:
 ARMS = [name for name in config_names("physics") if name.startswith("arm")]
 
 
-@pytest.mark.parametrize("physics", [p if p == "arm_model3" else pytest.param(p, marks=pytest.mark.slow) for p in ARMS])
+@pytest.mark.slow
+@pytest.mark.parametrize("physics", ARMS)
 def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
     overrides = ["data.realisations=2", f"physics={physics}", *SMALL, "model=physics_only"]
     metrics = metrics_of(trained(tmp_path / "run", "+experiment=robot_simulated", *overrides))
