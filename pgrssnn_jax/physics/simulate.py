@@ -57,3 +57,14 @@ def free_run(
     read = x if physics.output_timing == "after_step" else jnp.concatenate([x0[:, None], x[:, :-1]], 1)
     params = jax.tree.map(lambda p: jnp.asarray(p, u.dtype), physics.params)
     return jax.vmap(jax.vmap(physics.measure, (None, 0, 0)), (None, 0, 0))(params, read, u), x
+
+
+def has_forward_mode(physics: Physics) -> bool:
+    """Can a step be differentiated forwards? A physics with a derivative rule of its own (the arm) only can backwards,
+    and the Jacobian of a long run by an initial state is then out of reach."""
+    x, u = (jnp.zeros(len(signals)) for signals in (physics.states, physics.inputs))
+    try:
+        jax.eval_shape(jax.jacfwd(lambda x: physics.step(physics.params, x, u)), x)
+    except TypeError:
+        return False
+    return True

@@ -77,8 +77,8 @@ def candidates(
     return list(dict.fromkeys(changed(settings, change) for change in free))
 
 
-def choice_of(settings: TrainingSettings) -> Choice:
-    """The settings of one member as numbers."""
+def choice_of(settings: TrainingSettings, among: Sequence[TrainingSettings]) -> Choice:
+    """The settings of one member as numbers; among: those of all members of the program."""
     model, fit = settings.model, settings.fit
     return Choice(
         jnp.float32(model.correction if model.guided else 1.0),
@@ -87,8 +87,12 @@ def choice_of(settings: TrainingSettings) -> Choice:
         jnp.float32(fit.learning_rate),
         jnp.int32(fit.patience),
         jnp.bool_(fit.physics_parameters == "trained"),
-        jnp.bool_(settings.run.initial_state in _STARTS),
+        jnp.bool_(_searched(settings)) if any(map(_searched, among)) else None,
     )
+
+
+def _searched(settings: TrainingSettings) -> bool:
+    return settings.run.initial_state in _STARTS
 
 
 def shared_settings(settings: TrainingSettings, among: Sequence[TrainingSettings]) -> TrainingSettings:

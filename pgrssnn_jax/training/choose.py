@@ -27,6 +27,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.simulate import has_forward_mode
 from pgrssnn_jax.records.record import Record, continues
 from pgrssnn_jax.records.splits import is_later
 from pgrssnn_jax.training.blocks import memory
@@ -91,7 +92,7 @@ def choose_settings(
     if short:
         notify("recipe=auto: the physics alone, because it remembers more than half of the only record")
     starts: Starts = "never"
-    if settings.data.folds and physics.differentiable:
+    if settings.data.folds and physics.differentiable and has_forward_mode(physics):
         starts = "always" if train.info.start == "unknown" else "perhaps"
     among = candidates(settings, physics, held, usual, starts=starts, networks=not short)
     tried = [] if stop.is_set() else race(physics, train, validation, trying, among, stop, notify)

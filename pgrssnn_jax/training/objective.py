@@ -40,7 +40,8 @@ class Trainable(NamedTuple):
 class Choice(NamedTuple):
     """Settings of one member as numbers, so that one program trains members that differ in them. correction: f_nn is
     multiplied by it; networks: 0 where the physics stands alone, else 1; the others as in `settings.py` and `spec.py`,
-    with `physics_trained` and `start_trained` (x_0 of the training sequences) true or false."""
+    with `physics_trained` and `start_trained` (x_0 of the training sequences) true or false; the latter None where no
+    member trains it."""
 
     correction: Float[Array, ""]
     networks: Float[Array, ""]
@@ -48,7 +49,7 @@ class Choice(NamedTuple):
     learning_rate: Float[Array, ""]
     patience: Int[Array, ""]
     physics_trained: Bool[Array, ""]
-    start_trained: Bool[Array, ""]
+    start_trained: Bool[Array, ""] | None
 
 
 class MemberData(NamedTuple):
@@ -95,7 +96,7 @@ class Objective(NamedTuple):
         physics = jax.tree.map(jnp.zeros_like, self.physics.nominal) if self.train_physics else None
         x0 = None
         network = self.model.init(key)
-        if self.initial.trained or data.choice is not None:
+        if self.initial.trained or (data.choice is not None and data.choice.start_trained is not None):
             x0 = data.scaling.x.to_scaled(self._first_states(network, data))
         if data.choice is not None:
             drawn = jnp.where(data.choice.start_from_physics, 0.0, 1.0)
@@ -111,7 +112,7 @@ class Objective(NamedTuple):
         fitted = guess
         if self.model.physics.differentiable and self.model.spec.guided:
             fitted = least_squares_states(self.model, params, data.train, data.train.u.shape[1], guess)
-        if trained is None:
+        if trained is None or trained.start_trained is None:
             return fitted
         return jnp.where(trained.start_trained, fitted, start_state(self.model, params, data.train, self.initial))
 

@@ -61,14 +61,18 @@ def race(
 ) -> list[Tried]:
     """Every candidate with its errors after the last round that it took part in."""
     members = settings.data.folds or settings.run.n_seeds
-    shared = changed(shared_settings(settings, among), {"n_seeds": members, "patience": settings.fit.epochs})
+    every = settings.fit.validate_every
+    per_call = every * math.ceil(_ROUNDS[0] * settings.fit.epochs / every)
+    shared = changed(
+        shared_settings(settings, among),
+        {"n_seeds": members, "patience": max(1, settings.fit.epochs), "chunk_epochs": max(every, per_call)},
+    )
     plan = _smaller(plan_training(physics, train, shared, validation=validation))
-    choices = [plan.data._replace(choice=repeat(choice_of(one), len(plan.members))) for one in among]
+    choices = [plan.data._replace(choice=repeat(choice_of(one, among), len(plan.members))) for one in among]
     begin, keys = jit_members(plan.fit.begin, plan.mapping), keys_of(plan.members)
     states: list[MemberState] = [begin(keys, data) for data in choices]
     curves = [_finite(state.best_loss)[:, None] for state in states]
     advance = jit_members(plan.fit.advance, plan.mapping).lower(states[0], choices[0]).compile()
-    per_call = plan.fit.settings.blocks * plan.fit.settings.validate_every
     trained, going = [0] * len(among), list(range(len(among)))
 
     def tried() -> list[Tried]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pgrssnn_jax as pg
+from pgrssnn_jax.physics.simulate import has_forward_mode
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.training.candidates import candidates, describe, is_alone
 from pgrssnn_jax.training.choose import Chosen, choose_settings
@@ -134,3 +135,9 @@ def test_a_stop_while_settings_are_chosen():
     stop.set()
     settings = training_settings("pg_rssnn", {"epochs": 5, "n_seeds": 2, "hidden": 3})
     assert choose_settings(cascaded_tanks(), level(60), settings, (), stop=stop, notify=lambda line: None) is None
+
+
+def test_the_start_of_an_arm_is_not_searched_through_its_whole_run():
+    """Its dynamics have a derivative rule that only works backwards: the Jacobian would take tens of gigabytes."""
+    assert not has_forward_mode(pg.physics.arm())
+    assert has_forward_mode(cascaded_tanks())
