@@ -214,6 +214,7 @@ def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
         load(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_run_with_chosen_settings_says_what_was_chosen_and_goes_on_with_it(tmp_path, benchmark):
     run = trained(tmp_path / "run", *quick(benchmark, "recipe=auto", "n_seeds=2", "data.n_train=80"))
     metrics, config = run.read_json("metrics.json"), read_config(run.path)
