@@ -61,14 +61,14 @@ def discovery_command(environment: Mapping[str, Any]) -> str:
 def chosen_table(recipe: Mapping[str, Any], title: str) -> Table:
     """The candidates of `recipe=auto`, the chosen one first."""
     rows = [
-        ("headline" if k == 0 else "", [one["settings"], rounded(one["left_out_nrmse"]), str(one["epochs"])])
+        ("headline" if k == 0 else "", [rounded(one["left_out_nrmse"]), str(one["epochs"]), one["settings"]])
         for k, one in enumerate(recipe["tried"])
     ]
     footer = ["left-out NRMSE: geometric mean over members, each at the epoch that is best for the others"]
     if recipe.get("fell_back"):
         seeds = ", ".join(map(str, recipe["fell_back"]))
         footer.append(f"seeds that do not beat the physics on what they leave out, and are the physics alone: {seeds}")
-    return Table(("candidate", "left-out NRMSE", "epochs"), rows, f"{title} · recipe=auto", footer)
+    return Table(("left-out NRMSE", "epochs", "candidate"), rows, f"{title} · recipe=auto", footer)
 
 
 def percent(share: float) -> str:

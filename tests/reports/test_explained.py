@@ -90,7 +90,7 @@ def test_samples_outside_the_range_of_training_are_loud(tmp_path):
 def test_the_table_of_candidates_names_the_chosen_one_first():
     table = chosen_table(RECIPE, "tanks")
     assert [row[0] for row in table.rows] == ["headline", ""]
-    assert table.rows[0][1] == ["correction=0.1", "0.1200", "300"]
+    assert table.rows[0][1] == ["0.1200", "300", "correction=0.1"]
 
 
 @pytest.mark.parametrize("run", [tanks(4, 200), tanks(2, 200, failed=(0, 1)), lgssm(3, 2000)])
