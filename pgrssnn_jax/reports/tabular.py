@@ -14,16 +14,8 @@ from rich.text import Text
 from pgrssnn_jax.reports.markup import Markup, bullets, folded, html, tag
 
 STYLES = {"headline": "bold", "failed": "red", "partial": "yellow", "quoted": "italic"}
-WORDS = (
-    "status",
-    "reason",
-    "output",
-    "unit",
-    "variant",
-    "folder",
-    "state",
-    "candidate",
-)  # at the left of a page's column
+#: at the left of a page's column
+WORDS = ("status", "reason", "output", "unit", "variant", "folder", "state", "candidate")
 
 Row = tuple[str, Sequence[str]]
 

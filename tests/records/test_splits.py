@@ -111,6 +111,16 @@ def test_a_later_part_of_the_same_measurement_is_never_trained_on() -> None:
     np.testing.assert_array_equal(validation.mask[:, 0].sum(0), train.mask[:, 0].sum(0))
 
 
+@pytest.mark.parametrize("folds", [2, 5])
+def test_the_first_samples_are_in_no_block(folds: int) -> None:
+    whole = simulated(cascaded_tanks(), samples=SAMPLES, seed=1)
+    parts = [stack([part] * folds) for part in (crop(whole, 0, TRAINED), crop(whole, TRAINED, SAMPLES))]
+    train, validation = kfold_masks(*parts, list(range(folds)), folds, 6, lead=4)
+    assert train.mask[:, :, :4].all()
+    assert not validation.mask[:, :, :4].any()
+    np.testing.assert_array_equal(validation.mask.sum(0)[:, 4:], 1)
+
+
 def test_a_fold_in_which_nothing_was_measured_is_named() -> None:
     whole = measured_once()
     whole = whole._replace(mask=whole.mask & (np.arange(SAMPLES) // 10 % 5 != 3)[None, :, None])
