@@ -1,4 +1,6 @@
-"""Tables, figures and one page of many runs: python report.py runs=FOLDER[,FOLDER2] [out=FOLDER]."""
+"""Tables, figures and one page of many runs: python report.py runs=FOLDER[,FOLDER2] [out=FOLDER].
+
+Or runs evaluated again and compared with what they say: python report.py verify=RUN."""
 
 import sys
 
@@ -24,7 +26,9 @@ def as_typed(word: str) -> str:
     from pgrssnn_jax.cli.resume import override
 
     key, equals, text = word.partition("=")
-    return override(key, text) if key in ("runs", "out") and equals and text and text[0] not in "\"'[" else word
+    return (
+        override(key, text) if key in ("runs", "out", "verify") and equals and text and text[0] not in "\"'[" else word
+    )
 
 
 if __name__ == "__main__":

@@ -128,7 +128,8 @@ def finished(
     settings were chosen."""
     return Ensemble(
         plan.settings, trained_members(plan, state), losses, plan.train.info,
-        n_train=plan.train.u.shape[2], seconds=seconds, plan=plan, labels=labels, recipe=recipe,
+        n_train=plan.train.u.shape[2], n_sequences=plan.train.u.shape[1],
+        seconds=seconds, plan=plan, labels=labels, recipe=recipe,
     )  # fmt: skip
 
 

@@ -1,6 +1,8 @@
-"""What `report.py` does: run folders -> tables -> files, figures and one page, and the tables in the terminal."""
+"""What `report.py` does: run folders -> tables -> files, figures and one page, and the tables in the terminal; or runs
+that are evaluated again and compared with what they say."""
 
 import shlex
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -14,16 +16,19 @@ from rich.console import Console
 
 from pgrssnn_jax.cli.entry import Work
 from pgrssnn_jax.cli.plan import plain_config
+from pgrssnn_jax.cli.process import Interrupted, say
 from pgrssnn_jax.paper.collect import MARKS, FoundRun, collect
 from pgrssnn_jax.paper.figures import box_figure, can_be_curves, efficiency_figure, overlay_figure
 from pgrssnn_jax.paper.page import Pictures, evidence_page
 from pgrssnn_jax.paper.published import Paper, read_paper
 from pgrssnn_jax.paper.rows import EvidenceTable, evidence_tables
 from pgrssnn_jax.paper.tables import frame, latex, markdown, terminal_table
+from pgrssnn_jax.reports.verify import verify
 from pgrssnn_jax.reports.write import save_figures
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
 
-_KEYS = {"runs", "out"}
+_KEYS = {"runs", "out", "verify"}
+_DIFFERENT = 3  # exit code of a run that could not be reproduced
 
 FIGURES: dict[str, tuple[Callable[[EvidenceTable, Paper], Figure], str, str]] = {
     "boxes": (
@@ -51,6 +56,14 @@ def prepare_report(config: DictConfig) -> Work:
     settings = plain_config(config)
     if unknown := sorted(settings.keys() - _KEYS):
         raise ValueError(f"configuration: expected the keys {sorted(_KEYS)}, found {unknown[0]!r}")
+    if (settings["runs"] is None) == (settings["verify"] is None):
+        raise ValueError(
+            "configuration: expected runs=FOLDER or verify=RUN, found "
+            + ("neither" if settings["runs"] is None else "both")
+        )
+    if settings["verify"] is not None:
+        folders = run_roots(settings["verify"], "verify")
+        return Work(folders[0], partial(verify_runs, folders, Console(highlight=False)))
     roots = run_roots(settings["runs"])
     out = Path(str(settings["out"])) if settings["out"] else roots[0]
     if found := sorted(name for name in MARKS if (out / name).exists()):
@@ -67,14 +80,14 @@ def prepare_report(config: DictConfig) -> Work:
     return Work(out, do)
 
 
-def run_roots(given: Any) -> list[Path]:
+def run_roots(given: Any, key: str = "runs") -> list[Path]:
     """A folder, folders with commas between them, or a list. Raises `ValueError` where one is not there."""
     words = [str(one) for one in given] if isinstance(given, Sequence) and not isinstance(given, str) else [str(given)]
     if len(words) == 1 and not Path(words[0]).is_dir():
         words = words[0].split(",")
     for word in words:
         if not word or not Path(word).is_dir():
-            raise ValueError(f"runs: expected a folder, or several with commas between them, found {word!r}")
+            raise ValueError(f"{key}: expected a folder, or several with commas between them, found {word!r}")
     return [Path(word) for word in words]
 
 
@@ -99,6 +112,21 @@ def report_run(
     console.print(
         f"page: {short_path(out / 'report.html')}   tables: {short_path(out)}/tables.md, .csv, .tex", soft_wrap=True
     )
+
+
+def verify_runs(folders: Sequence[Path], console: Console, stop: threading.Event) -> None:
+    """A line per run; exit code 3 when one differs, 2 when one cannot be read. Writes nothing."""
+    found = []
+    for folder in folders:
+        if stop.is_set():
+            raise Interrupted("stopped between two runs")
+        try:
+            found.append(verify(folder))
+        except ValueError as problem:
+            sys.exit(say(str(problem)))
+        console.print(f"{short_path(folder)}: {found[-1]}", soft_wrap=True)
+    if not all(one.equal for one in found):
+        sys.exit(_DIFFERENT)
 
 
 def draw(tables: Sequence[EvidenceTable], paper: Paper, run: RunFolder) -> Pictures:

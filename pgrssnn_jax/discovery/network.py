@@ -63,7 +63,7 @@ def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, 
         plan.fit, plan.mapping, first.state, plan.data, first.losses,
         on_chunk=lambda state, losses, now: None, stop=stop,
     )  # fmt: skip
-    found, measured = predict(trained_members(plan, done.state), tests.record, plan.data)[0], tests.measured
+    found, measured = predict(trained_members(plan, done.state), tests.record), tests.measured
     assert found.alone is not None  # a guided model with networks
     several, shares, errors = measured.y.shape[-1] > 1, [], []
     for i, (predicted, alone) in enumerate(zip(found.y, found.alone, strict=True)):

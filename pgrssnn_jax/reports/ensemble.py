@@ -20,15 +20,15 @@ from pgrssnn_jax.reports.write import write_report, yaml_text
 from pgrssnn_jax.training import evaluation
 from pgrssnn_jax.training.calibration import calibrated
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
-from pgrssnn_jax.training.evaluation import Predictions, Trained
-from pgrssnn_jax.training.intervals import LEVEL, Intervals
+from pgrssnn_jax.training.diagnostics import diagnostics
+from pgrssnn_jax.training.evaluation import Trained
+from pgrssnn_jax.training.intervals import Intervals
 from pgrssnn_jax.training.loop import Losses, losses_table
 from pgrssnn_jax.training.members import select
-from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests
+from pgrssnn_jax.training.plan import Plan, member_tests
 from pgrssnn_jax.training.run_folder import RunFolder
 from pgrssnn_jax.training.run_lock import locked
 from pgrssnn_jax.training.settings import TrainingSettings, settings_to_config
-from pgrssnn_jax.training.shares import outside
 
 
 class Evaluated(NamedTuple):
@@ -62,17 +62,19 @@ class Ensemble:
         info: RecordInfo,
         *,
         n_train: int,
+        n_sequences: int,
         seconds: Mapping[str, float],
         plan: Plan | None = None,
         labels: Mapping[str, str | None] | None = None,
         recipe: Mapping[str, Any] | None = None,
         intervals: Intervals | None = None,
     ) -> None:
-        """info: of the training record; n_train: samples per training sequence; plan: with the data of training, None
-        after loading; labels: names of the configuration's files; recipe: how `recipe=auto` chose the settings;
-        intervals: of a run that is loaded; others are calibrated when they are asked for."""
+        """info: of the training record; n_train: samples per training sequence; n_sequences: of a member; plan: with
+        the data of training, None after loading; labels: names of the configuration's files; recipe: how `recipe=auto`
+        chose the settings; intervals: of a run that is loaded; others are calibrated when they are asked for."""
         self.settings, self.trained, self.losses, self.info = settings, trained, losses, info
-        self.n_train, self.seconds, self.plan, self.labels = n_train, dict(seconds), plan, labels or {}
+        self.n_train, self.n_sequences = n_train, n_sequences
+        self.seconds, self.plan, self.labels = dict(seconds), plan, labels or {}
         self.recipe = recipe
         self._intervals = intervals
         self._evaluated: Evaluated | None = None
@@ -142,9 +144,13 @@ class Ensemble:
         """What prediction intervals need beside a prediction, calibrated on what members left out; None where nothing
         was, and for a run of before there were any."""
         if self._intervals is None and self.plan is not None:
-            validated = evaluation.validated_outputs(self.trained, self.plan.data)
-            self._intervals = calibrated(self.plan, validated, self._usable, self.losses)
+            self._calibrate(evaluation.validated_outputs(self.trained, self.plan.data))
         return self._intervals
+
+    def _calibrate(self, validated: Float[np.ndarray, "member seq time y"]) -> None:
+        """validated: what the members predict of their validation records."""
+        if self._intervals is None and self.plan is not None:
+            self._intervals = calibrated(self.plan, validated, self._usable, self.losses)
 
     def _known_start(self) -> Float[np.ndarray, "member x"]:
         initial, count = self.trained.objective.initial, len(self.trained.members)
@@ -164,14 +170,15 @@ class Ensemble:
         trained, wanted = self.trained, self.settings.run.report_n_init
         tests = member_tests(trained.objective, trained.members, trained.units, wanted, test)
         plan = self.plan
-        predictions, validated = evaluation.predict(trained, tests.record, plan and plan.data)
+        predictions = evaluation.predict(trained, tests.record)
+        validated = None if plan is None else evaluation.validated_outputs(trained, plan.data)
         rows = evaluation.member_rows(trained, tests, predictions, plan and plan.validation, validated)
         mean, deviation = evaluation.ensemble(rows, tests.measured, predictions)
         info, measured = test.info, tests.measured
-        if self._intervals is None and plan is not None and validated is not None:
-            self._intervals = calibrated(plan, validated, self._usable, self.losses)
+        if validated is not None:
+            self._calibrate(validated)
         together = evaluation.groups(rows, mean)
-        more, arrays = self._explained(together, rows, tests, predictions)
+        more, arrays = diagnostics(self.intervals, together, rows, tests, predictions)
         metrics = {
             "schema": 1,
             "system": self.physics.name,
@@ -185,6 +192,7 @@ class Ensemble:
             "n_init": tests.n_inits[0],
             "recipe": self.recipe,
             "n_train": self.n_train,
+            "n_sequences": self.n_sequences,
             "dt": self.physics.dt,
             "outputs": [channel._asdict() for channel in measured.info.outputs],
             "signals": {kind: [[s.name, s.unit] for s in getattr(self.physics, kind)] for kind in ("inputs", "states")},
@@ -211,24 +219,6 @@ class Ensemble:
                 arrays[f"skeleton_{name}"] = self.physics.skeleton(y).astype(np.float32)
         self._evaluated = Evaluated(metrics, arrays)
         return self._evaluated
-
-    def _explained(
-        self, together: list[list[int]], rows: list[dict[str, Any]], tests: MemberTests, found: Predictions
-    ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """For `metrics.json`: how good the interval is, what the networks supply, how often the test record is
-        outside the range of training; and the arrays behind them, of the first members that were tested together."""
-        info, intervals = tests.measured.info, self.intervals
-        metrics: dict[str, Any] = {"interval": None, "network": evaluation.network_figures(rows, tests, found)}
-        arrays: dict[str, np.ndarray] = {}
-        if together and intervals is not None:
-            metrics["interval"], low, high = evaluation.interval_figures(intervals, together, tests, found, LEVEL)
-            arrays |= {"interval_low": low.astype(np.float32), "interval_high": high.astype(np.float32)}
-            u, y = np.asarray(tests.measured.u[together[0][0]]), found.y[together[0]].mean(0)
-            metrics["outside"] = outside(intervals, info.inputs, info.outputs, u, y)
-        if together and found.alone is not None and found.x is not None:
-            supplied, states = found.y[together[0]] - found.alone[together[0]], found.x[together[0]]
-            arrays |= {"network": supplied.mean(0).astype(np.float32), "x": states.mean(0).astype(np.float32)}
-        return metrics, arrays
 
     def score(self, test: Record) -> pd.DataFrame:
         """A row per member: seed, dataset, status, best epoch, and RMSE, NRMSE, fit (%) and correlation on the test

@@ -74,7 +74,8 @@ def load(
     start = arrays.get("x0_train", arrays["x0"][:, 0] if "x0" in arrays and fit.objective.initial.shared else None)
     if start is None:
         start = np.full((count, len(chosen.states)), np.nan)
-    mapping = member_mapping(settings.members, count, 1, accelerate=settings.run.accelerate)
+    n_sequences = int(metrics.get("n_sequences", 1))  # decides how members are mapped, and so the last bits
+    mapping = member_mapping(settings.members, count, n_sequences, accelerate=settings.run.accelerate)
     trained = Trained(fit.objective, mapping, members, found.state, found.scaling, found.units, start)
     inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
     info = RecordInfo(inputs, outputs, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
@@ -85,6 +86,7 @@ def load(
         found.losses,
         info,
         n_train=metrics.get("n_train", 0),
+        n_sequences=n_sequences,
         seconds=seconds,
         recipe=_recipe(config),
         intervals=_intervals(run, len(chosen.inputs), len(chosen.outputs)),

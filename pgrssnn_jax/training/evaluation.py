@@ -12,13 +12,11 @@ import numpy as np
 from pgrssnn_jax.models.rollout import Trajectory, rollout
 from pgrssnn_jax.records.record import Array, Record, take, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
-from pgrssnn_jax.training.intervals import Intervals, inside
 from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.metrics import all_metrics, rmse
 from pgrssnn_jax.training.objective import MemberData, Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
 from pgrssnn_jax.training.plan import MemberTests, Plan
-from pgrssnn_jax.training.shares import network_share
 
 _FIGURES = ("rmse", "nrmse", "fit_percent", "cc")
 
@@ -64,33 +62,22 @@ def trained_members(plan: Plan, state: MemberState) -> Trained:
     )
 
 
-def predict(trained: Trained, test: Record, data: MemberData | None = None) -> tuple[Predictions, np.ndarray | None]:
-    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in; beside
-    it the outputs on the validation records, where the data of training are at hand, in one program."""
-
+def predict(trained: Trained, test: Record) -> Predictions:
+    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in. A
+    program of its own, so that a run that is read back gives the bits of the one that was trained."""
     objective = trained.objective
 
-    def on_test(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
+    def one(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
         x0 = objective.test_state(state.best, scaling, start, test)
         run = _free_run(objective, state, scaling, test.u, x0, valid_mask(test))
         alone = _without_networks(objective, state, scaling, test, x0)
         return run.y, _finite(run), x0, run.x, *alone
 
-    def on_both(state: MemberState, data: MemberData, test: Record) -> tuple[Any, ...]:
-        start = objective.trained_start(state.best, data)
-        return on_test(state, data.scaling, start, test), objective.validate(state.best, data).y
-
-    validated = None
-    if data is not None:
-        found, aside = jit_members(on_both, trained.mapping)(trained.state, data, test)
-        validated = _measured(aside, trained.units)
-    else:
-        start = trained.start.astype(np.float32)
-        found = jit_members(on_test, trained.mapping)(trained.state, trained.scaling, start, test)
+    start = trained.start.astype(np.float32)
+    found = jit_members(one, trained.mapping)(trained.state, trained.scaling, start, test)
     y, finite, x0, x, *alone = found
     without = _measured(alone[0], trained.units) if alone else None
-    run = Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0), np.asarray(x), without)
-    return run, validated
+    return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0), np.asarray(x), without)
 
 
 def validated_outputs(trained: Trained, data: MemberData) -> np.ndarray:
@@ -198,34 +185,6 @@ def groups(rows: Sequence[dict[str, Any]], ensemble_mean: np.ndarray) -> list[li
         return [finished] if finished else []
     datasets = list(dict.fromkeys(rows[i]["dataset"] for i in finished))
     return [[i for i in finished if rows[i]["dataset"] == dataset] for dataset in datasets]
-
-
-def interval_figures(
-    intervals: Intervals, together: Sequence[Sequence[int]], tests: MemberTests, predictions: Predictions, level: float
-) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-    """How many measurements of the test record the intervals hold and how wide they are, per output, mean over the
-    groups of members `together`; and the ends of the first group's interval, `[seq, time, y]`."""
-    ends, figures = [], []
-    for group in together:
-        y_hat, u = predictions.y[group].astype(np.float64), np.asarray(tests.measured.u[group[0]], np.float64)
-        mean = y_hat.mean(0)
-        half = intervals.half_width(mean, y_hat.std(0), u, level)
-        figures.append(inside(take(tests.measured, group[0]), mean, half, tests.n_inits[0]))
-        ends.append((mean - half, mean + half))
-    coverage, width = np.mean(figures, axis=0)
-    return {"level": level, "coverage": coverage.tolist(), "width": width.tolist()}, *ends[0]
-
-
-def network_figures(
-    rows: Sequence[dict[str, Any]], tests: MemberTests, predictions: Predictions
-) -> dict[str, list[float]] | None:
-    """The share of the networks per output, mean over finished members (`shares.py`); None where they stand alone, or
-    there are none."""
-    finished = [i for i, row in enumerate(rows) if row["status"] == "ok"]
-    if predictions.alone is None or not finished:
-        return None
-    shares = [network_share(take(tests.measured, i), predictions.y[i], predictions.alone[i]) for i in finished]
-    return {"share": np.mean(shares, axis=0).tolist()}
 
 
 def summary(

@@ -101,8 +101,11 @@ def test_folders_as_text_with_commas_or_as_a_list(sweeps, monkeypatch):
         ({"runs": "table1_tank/model=fcssnn", "out": "x"}, "metrics.json: expected JSON"),
         ({"runs": "table1_tank/model=pg_rssnn"}, "out: expected a folder that is not a run's"),
         ({"runs": "table1_tank", "out": "file"}, "out: expected a folder, found the file 'file'"),
-        ({"runs": "table1_tank", "size": 3}, "expected the keys .'out', 'runs'., found 'size'"),
+        ({"runs": "table1_tank", "size": 3}, "expected the keys .'out', 'runs', 'verify'., found 'size'"),
         ({"runs": "???"}, "runs: expected a value"),
+        ({}, "configuration: expected runs=FOLDER or verify=RUN, found neither"),
+        ({"runs": "table1_tank", "verify": "table1_tank"}, "expected runs=FOLDER or verify=RUN, found both"),
+        ({"verify": "nowhere"}, "verify: expected a folder, or several with commas between them, found 'nowhere'"),
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(sweeps, monkeypatch, settings, message):
@@ -111,7 +114,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(sweeps, monkeypatch, setti
     (sweeps / "file").touch()
     before = sorted(sweeps.rglob("*"))
     with pytest.raises(ValueError, match=message) as problem:
-        prepare_report(OmegaConf.create({"out": None, **settings}))
+        prepare_report(OmegaConf.create({"runs": None, "verify": None, "out": None, **settings}))
     assert "\n" not in str(problem.value)
     assert sorted(sweeps.rglob("*")) == before
 

@@ -12,7 +12,7 @@ from small import INFO, small_fit
 from pgrssnn_jax.records.record import Record, cast, record, stack
 from pgrssnn_jax.records.scaling import Affine, Units, identity, in_units
 from pgrssnn_jax.training import evaluation as evaluate
-from pgrssnn_jax.training.evaluation import Predictions, Trained, predict, predict_from
+from pgrssnn_jax.training.evaluation import Predictions, Trained, predict, predict_from, validated_outputs
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members, repeat
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
 from pgrssnn_jax.training.plan import MemberTests
@@ -142,7 +142,10 @@ UNITS = Units(
 def test_standardised_predictions_return_to_measured_units():
     _, data = small_fit()
     test = cast(stack([measured()] * 3), np.float32)
-    (plain, aside), (found, validated) = (predict(trained(begun(), units), test, data) for units in (None, UNITS))
+    (plain, aside), (found, validated) = (
+        (predict(trained(begun(), units), test), validated_outputs(trained(begun(), units), data))
+        for units in (None, UNITS)
+    )
     for i in range(3):
         offset, scale = UNITS.y.offset[i, 0], UNITS.y.scale[i, 0]
         np.testing.assert_allclose(found.y[i], offset + scale * plain.y[i], rtol=1e-6)
@@ -150,21 +153,11 @@ def test_standardised_predictions_return_to_measured_units():
     np.testing.assert_array_equal(found.x0, plain.x0)
 
 
-def test_predictions_without_the_data_of_training_are_the_same():
-    _, data = small_fit()
-    test = cast(stack([measured()] * 3), np.float32)
-    (with_data, aside), (alone, none) = predict(trained(begun()), test, data), predict(trained(begun()), test)
-    np.testing.assert_allclose(alone.y, with_data.y, rtol=1e-6)
-    assert alone.finite.all()
-    assert aside is not None
-    assert none is None
-
-
 def test_a_run_from_given_states_takes_inputs_as_measured():
     """From where the runs on a test record began, in standardised units, the same is predicted."""
     one = measured()
     test = cast(in_units(stack([one] * 3), UNITS), np.float32)
-    found, _ = predict(trained(begun(), UNITS), test)
+    found = predict(trained(begun(), UNITS), test)
     again = predict_from(trained(begun(), UNITS), np.asarray(one.u), found.x0)
     np.testing.assert_allclose(again.y, found.y, rtol=1e-4, atol=1e-4)
     assert again.finite.all()
