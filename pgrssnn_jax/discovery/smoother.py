@@ -1,7 +1,7 @@
 """Where a simulation is wrong: the correction that each state equation would need, by a smoother.
 
     δx_t = A_t δx_{t-1} + e_i dt d_t          e_t = C_t δx_t + v_t
-    d_t  = d_{t-1} + w_t                      A, C: derivatives of the model along its own free run
+    d_t  = d_{t-1} + w_{t-1}                  A, C: derivatives of the model along its own free run
 
 d_t is the correction of equation i in its unit per second, δx the error of the simulated state, e the output error, v
 white noise of the size of the floor. The variance of w is the one under which the errors are most likely; so equations
@@ -122,12 +122,12 @@ def _one_sequence(
     (z, p), (z_old, p_old, z_new, p_new, f, fitted) = jax.lax.scan(forward, start, (a, c, error, measured))
 
     def backward(carry: tuple[jax.Array, jax.Array], inputs: tuple[jax.Array, ...]) -> tuple[Any, Any]:
-        """From the smoothed z_t to the smoothed z_{t-1}; what comes out is d_t."""
+        """From the smoothed z_t to the smoothed z_{t-1}; what comes out is the d that acted between the two."""
         z, p = carry
         z_old, p_old, z_new, p_new, f = inputs
         gain = jnp.linalg.solve(p_new + 1e-14 * jnp.eye(n + 1), f @ p_old).T
-        earlier = (z_old + gain @ (z - z_new), p_old + gain @ (p - p_new) @ gain.T)
-        return earlier, (z[n], jnp.sqrt(jnp.maximum(p[n, n], 0.0)))
+        z, p = z_old + gain @ (z - z_new), p_old + gain @ (p - p_new) @ gain.T
+        return (z, p), (z[n], jnp.sqrt(jnp.maximum(p[n, n], 0.0)))
 
     _, (mean, std) = jax.lax.scan(backward, (z, p), (z_old, p_old, z_new, p_new, f), reverse=True)
     return mean, std, fitted.sum()

@@ -9,7 +9,7 @@ from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.locate import clear, intervals
 from pgrssnn_jax.discovery.problem import build_problem, weighted_signals
 from pgrssnn_jax.discovery.responses import path_of
-from pgrssnn_jax.discovery.smoother import smoothed_correction
+from pgrssnn_jax.discovery.smoother import _smooth, smoothed_correction
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SAMPLES, NOISE = 300, 0.005
@@ -61,3 +61,44 @@ def test_noise_alone_needs_no_correction():
     assert np.all(found.likelihood < 5.0)
     assert np.abs(found.mean[1]).max() < 1e-3
     assert clear(found.mean[1, 0], found.std[1, 0]).mean() < 0.1
+
+
+def in_one_piece(a, c, error, noise, equation, rate, *, after_step):
+    """The same as one Gaussian: unknowns z_0 and w_1..w_T at once, by least squares with their priors. Mean and
+    deviation of the d that acts in each step, and the log-likelihood of the errors but for a constant."""
+    time, n = len(a), a.shape[-1]
+    z = np.zeros((n + 1, n + 1 + time))  # the present state by all unknowns
+    z[:, : n + 1] = np.eye(n + 1)
+    rows, before = [], []
+    for t in range(time):
+        f = np.zeros((n + 1, n + 1))
+        f[:n, :n], f[n, n], f[equation, n] = a[t], 1.0, 1.0
+        before.append(z[n])
+        seen = z
+        z = f @ z
+        z[n, n + 1 + t] += rate
+        rows.append(c[t] @ (z if after_step else seen)[:n])
+    seen, drift = np.concatenate(rows), np.array(before)
+    prior = np.r_[np.full(n + 1, 1e3 * noise**2), np.ones(time)]
+    inverse = np.linalg.inv(np.diag(1.0 / prior) + seen.T @ seen / noise**2)
+    mean = inverse @ seen.T @ error.ravel() / noise**2
+    spread = seen * prior @ seen.T + noise**2 * np.eye(error.size)
+    likelihood = -0.5 * (error.ravel() @ np.linalg.solve(spread, error.ravel()) + np.linalg.slogdet(spread)[1])
+    return drift @ mean, np.sqrt(np.einsum("ti,ij,tj->t", drift, inverse, drift)), likelihood
+
+
+@pytest.mark.parametrize("timing", ["after_step", "before_step"])
+def test_the_smoother_is_that_of_one_gaussian(timing):
+    rng = np.random.default_rng(0)
+    a = 0.8 * np.eye(2) + 0.1 * rng.standard_normal((60, 2, 2))
+    c, noise = rng.standard_normal((60, 1, 2)), 0.1
+    error = 0.3 * np.cumsum(rng.standard_normal((60, 1)), 0)
+    shown = np.ones((1, 60, 1), bool)
+    mean, std, gain = _smooth(a[None], c[None], error[None], shown, noise, timing)
+    rates = 10.0 ** np.arange(-6.0, 0.1, 1.0) * error.std()
+    found = [[in_one_piece(a, c, error, noise, i, r, after_step=timing == "after_step") for r in rates] for i in (0, 1)]
+    likelihood = np.array([[one[2] for one in row] for row in found])
+    np.testing.assert_allclose(gain, likelihood.max(1) - likelihood[:, 0].max(), rtol=1e-6)
+    for i, best in enumerate(likelihood.argmax(1)):
+        np.testing.assert_allclose(mean[i, 0], found[i][best][0], rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(std[i, 0], found[i][best][1], rtol=1e-5)
