@@ -2,13 +2,14 @@
 # make test    set up .venv and run the tests that take minutes
 # make test-slow  those that need more;  make test-all  both, compiled as users compile
 # make check   formatting, lint, layers and types
-# make install set up .venv alone;  make lock  renew the lock file
+# make install set up .venv alone;  make lock  renew the lock file;  make audit  its known vulnerabilities
+# make test-latest  the tests on the newest releases;  make test-oldest  on the lower bounds of pyproject.toml
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := pgrssnn_jax hydra_plugins tests benchmarks train.py discover.py report.py
 
-.PHONY: train test test-slow test-all check install lock
+.PHONY: train test test-slow test-all test-latest test-oldest check audit install lock
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
@@ -37,7 +38,18 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
+test-latest test-oldest: test-%:
+	$(PYTHON) -m venv --clear $(VENV)-$*
+	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check uv
+	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python \
+	  --resolution $(if $(filter oldest,$*),lowest-direct,highest) --editable '.[test]'
+	$(VENV)-$*/bin/python -m pytest
+
+audit: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
+	$(BIN)/pip-audit --requirement requirements.lock --require-hashes --disable-pip
+
 lock: install
 	$(BIN)/python -m pip install --quiet pip-tools
-	$(BIN)/pip-compile --quiet --extra test --extra check --strip-extras --no-emit-index-url \
+	$(BIN)/pip-compile --quiet --generate-hashes --extra test --extra check --strip-extras --no-emit-index-url \
 	  --no-emit-find-links --no-emit-trusted-host --output-file requirements.lock pyproject.toml

@@ -1,6 +1,7 @@
 """Trained members as a result that simulates, scores, plots, saves and shows itself."""
 
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
@@ -143,14 +144,18 @@ class Ensemble:
     def intervals(self) -> Intervals | None:
         """What prediction intervals need beside a prediction, calibrated on what members left out; None where nothing
         was, and for a run of before there were any."""
-        if self._intervals is None and self.plan is not None:
-            self._calibrate(evaluation.validated_outputs(self.trained, self.plan.data))
+        plan = self.plan
+        if self._intervals is None and plan is not None:
+            predicted = self._validated
+            if predicted is None or plan.fit.objective.starts_as_tested(plan.data.validation):
+                predicted = evaluation.outputs_as_tested(self.trained, plan.data)
+            self._intervals = calibrated(plan, predicted, self._usable, self.losses, self.recipe)
         return self._intervals
 
-    def _calibrate(self, validated: Float[np.ndarray, "member seq time y"]) -> None:
-        """validated: what the members predict of their validation records."""
-        if self._intervals is None and self.plan is not None:
-            self._intervals = calibrated(self.plan, validated, self._usable, self.losses)
+    @cached_property
+    def _validated(self) -> Float[np.ndarray, "member seq time y"] | None:
+        """What the members predict of their validation records; None after loading."""
+        return None if self.plan is None else evaluation.validated_outputs(self.trained, self.plan.data)
 
     def _known_start(self) -> Float[np.ndarray, "member x"]:
         initial, count = self.trained.objective.initial, len(self.trained.members)
@@ -171,12 +176,9 @@ class Ensemble:
         tests = member_tests(trained.objective, trained.members, trained.units, wanted, test)
         plan = self.plan
         predictions = evaluation.predict(trained, tests.record)
-        validated = None if plan is None else evaluation.validated_outputs(trained, plan.data)
-        rows = evaluation.member_rows(trained, tests, predictions, plan and plan.validation, validated)
+        rows = evaluation.member_rows(trained, tests, predictions, plan and plan.validation, self._validated)
         mean, deviation = evaluation.ensemble(rows, tests.measured, predictions)
         info, measured = test.info, tests.measured
-        if validated is not None:
-            self._calibrate(validated)
         together = evaluation.groups(rows, mean)
         more, arrays = diagnostics(self.intervals, together, rows, tests, predictions)
         metrics = {

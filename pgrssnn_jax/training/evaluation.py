@@ -86,6 +86,12 @@ def validated_outputs(trained: Trained, data: MemberData) -> np.ndarray:
     return _measured(y, trained.units)
 
 
+def outputs_as_tested(trained: Trained, data: MemberData) -> np.ndarray:
+    """As `validated_outputs`, from starts that are found as those of a test record."""
+    y = jit_members(lambda s, d: trained.objective.as_tested(s.best, d).y, trained.mapping)(trained.state, data)
+    return _measured(y, trained.units)
+
+
 def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions:
     """Runs every member from u `[seq, time, u]` in measured units and x0 `[member, seq, x]` in the physics' units."""
 

@@ -4,8 +4,9 @@
 
 ŷ: mean over members, d: their standard deviation; φ in scaled units and within the range of the calibration; horizon:
 log(1 + t) over that of the longest run. w: largest normal likelihood of the left-out errors, with a normal prior that
-pulls towards a constant variance. q: the quantile of |left-out error| / s, so that the share of left-out samples inside
-is the level asked for, whatever the law of the errors.
+pulls towards a constant variance. q: the conformal quantile of |left-out error| / s, so that the share of left-out
+samples inside is the level asked for, whatever the law of the errors, and a little more where few of them are
+independent.
 Sources: Lei, G'Sell, Rinaldo, Tibshirani, Wasserman, Distribution-free predictive inference for regression, JASA 2018,
 section 5.2; Barber, Candès, Ramdas, Tibshirani, Predictive inference with the jackknife+, Annals of Statistics 2021.
 """
@@ -88,7 +89,7 @@ def calibrate(found: LeftOut, seen: Sequence[Record], optimism: float = 1.0) -> 
         spread, error = (a[..., k][measured] / y[1, k] for a in (found.spread, found.error))
         weights.append(_log_variance(features, spread**2, error**2))
         scores = np.abs(error) / np.sqrt(spread**2 + np.exp(features @ weights[-1]))
-        quantiles.append(optimism * _quantiles(scores))
+        quantiles.append(optimism * _quantiles(scores, found.independent[k]))
     return begun._replace(weights=np.stack(weights), quantiles=np.stack(quantiles))
 
 
@@ -117,10 +118,9 @@ def _log_variance(features: np.ndarray, spread: np.ndarray, squares: np.ndarray)
     return minimize(cost, start, jac=True, method="L-BFGS-B").x
 
 
-def _quantiles(scores: np.ndarray) -> np.ndarray:
-    """The conformal quantiles of n scores: of level (1 + 1/n) level, the largest score above."""
-    n = len(scores)
-    return np.quantile(scores, np.minimum(_LEVELS * (n + 1) / n, 1.0))
+def _quantiles(scores: np.ndarray, independent: float) -> np.ndarray:
+    """The conformal quantiles of n independent scores: of level (1 + 1/n) level, the largest score above."""
+    return np.quantile(scores, np.minimum(_LEVELS * (1.0 + 1.0 / independent), 1.0))
 
 
 def inside(

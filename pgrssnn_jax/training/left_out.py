@@ -8,6 +8,7 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.training.blocks import correlation_time
 
 _LEAST = 0.5  # of the squared errors: a few members that are far off make d larger than any error
 
@@ -24,6 +25,16 @@ class LeftOut(NamedTuple):
     error: Float[np.ndarray, "run time y"]
     u: Float[np.ndarray, "run time u"]
     measured: Bool[np.ndarray, "run time y"]
+
+    @property
+    def independent(self) -> Float[np.ndarray, " y"]:
+        """Σ n / (1 + 2 Σ_{j>0} ρ_j) over runs: how many independent errors the n measured ones of an output are worth;
+        ρ: their autocorrelation."""
+        counts = np.zeros(self.error.shape[-1])
+        for error, measured in zip(self.error, self.measured, strict=True):
+            for k, which in enumerate(measured.T):
+                counts[k] += which.sum() / (1.0 + 2.0 * correlation_time(np.where(which, error[:, k], 0.0)))
+        return np.maximum(counts, 1.0)
 
 
 def left_out(
@@ -61,8 +72,24 @@ def at_epoch_of_others(losses: Float[np.ndarray, "member epoch"]) -> Float[np.nd
 def optimism(losses: Float[np.ndarray, "member epoch"]) -> float:
     """How many times larger left-out errors are than they look, because each member keeps the epoch at which they are
     least: the ratio of both, mean over members; losses: mean squared errors, NaN where a member was not validated."""
-    validated = pd.DataFrame(losses).dropna(axis=1, how="all")
-    carried = validated.ffill(axis=1).dropna().to_numpy()  # a member that has stopped stays as it was
+    carried = _carried(losses)
     if not carried.size or not carried.min() > 0:
         return 1.0
     return float(np.exp(0.5 * np.mean(np.log(at_epoch_of_others(carried)) - np.log(carried.min(1)))))
+
+
+def by_long_blocks(losses: Float[np.ndarray, "member epoch"], nrmse: float, epochs: int) -> float:
+    """sqrt(E_long / E_short), at least 1: NRMSE of members that leave out blocks as long as the system remembers,
+    after so many epochs (`race.Tried`), and that of the trained members on short ones, after as many. In short blocks
+    the samples around them hold a model in place; with long ones it has less to learn from. Another record lies
+    between: its errors are taken for the geometric mean of both."""
+    carried = _carried(losses[:, :epochs])
+    if not carried.size or not carried.min() > 0:
+        return 1.0
+    short = np.exp(0.5 * np.mean(np.log(at_epoch_of_others(carried))))
+    return max(1.0, float(np.sqrt(nrmse / short)))
+
+
+def _carried(losses: Float[np.ndarray, "member epoch"]) -> Float[np.ndarray, "member validation"]:
+    """Every validation of every member that was validated; a member that has stopped stays as it was."""
+    return pd.DataFrame(losses).dropna(axis=1, how="all").ffill(axis=1).dropna().to_numpy()

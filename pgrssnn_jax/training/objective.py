@@ -169,6 +169,20 @@ class Objective(NamedTuple):
         whole = rollout(self.model, params, u, self._train_state(theta, params, data), route=self.route)
         return Trajectory(whole.y[:, before:], whole.x[:, before:], jnp.maximum(whole.first_bad - before, 0))
 
+    def as_tested(self, theta: Trainable, data: MemberData) -> Trajectory:
+        """The validation run as it would be of a record that nothing was fitted to: where starts are estimated, a
+        record that is the training record itself starts from its first n_init samples, as a test record does."""
+        record = data.validation
+        if not self.starts_as_tested(record):
+            return self.validate(theta, data)
+        params = self.assemble(theta, data.scaling, data.choice)
+        whole = record._replace(mask=record.mask | data.train.mask)
+        return self._predicted(params, whole, start_state(self.model, params, whole, self.initial))
+
+    def starts_as_tested(self, validation: Record) -> bool:
+        """Do `validate` and `as_tested` start differently?"""
+        return self.initial.trained and not self.initial.shared and validation.info.same_run
+
     def trained_start(self, theta: Trainable, data: MemberData) -> Float[Array, " x"]:
         """x_0 of the first training sequence."""
         return self._train_state(theta, self.assemble(theta, data.scaling, data.choice), data)[0]

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import t as student
 
 from pgrssnn_jax.physics.base import Physics
@@ -22,6 +23,8 @@ from pgrssnn_jax.training.settings import TrainingSettings, changed
 
 _ROUNDS = (0.05, 0.15, 0.3)  # of the epochs
 _KEEP = 3  # one candidate of so many goes on to the next round
+_LAST = 2  # but so many into the last one: of slow and steady candidates the first rounds say little
+_STEADY = 3  # validations, of which the median counts: one that is good between bad ones is luck
 _LARGE, _SMALL = 1e9, 1e-12  # squared scaled error of what has left the range, and of what no float32 tells from none
 _SURE = 0.75  # level of the test: less certain gains are left to the physics
 _TRYING = 5  # members, at most, that try a candidate where all leave out the same record
@@ -38,8 +41,9 @@ class Tried(NamedTuple):
     @property
     def left_out(self) -> np.ndarray:
         """log E `[member]`: every member at the epoch that is best for the others, so that what it leaves out has no
-        part in the choice of the epoch."""
-        return np.log(at_epoch_of_others(self.curves + _SMALL))
+        part in the choice of the epoch. E: running median over validations."""
+        windows = sliding_window_view(self.curves, min(_STEADY, self.curves.shape[1]), axis=1)
+        return np.log(at_epoch_of_others(np.median(windows, -1) + _SMALL))
 
     @property
     def score(self) -> float:
@@ -73,7 +77,7 @@ def race(
     states: list[MemberState] = [begin(keys, data) for data in choices]
     curves = [_finite(state.best_loss)[:, None] for state in states]
     advance = jit_members(plan.fit.advance, plan.mapping).lower(states[0], choices[0]).compile()
-    trained, going = [0] * len(among), list(range(len(among)))
+    trained, going = [0] * len(among), [i for i, one in enumerate(among) if _trains(one)]
 
     def tried() -> list[Tried]:
         return [Tried(*one) for one in zip(among, curves, trained, strict=True)]
@@ -82,13 +86,13 @@ def race(
         epochs = max(1, math.ceil(share * settings.fit.epochs))
         ends = jnp.full(len(plan.members), epochs, jnp.int32)
         for i in going:
-            while trained[i] < epochs and _trains(among[i]) and not stop.is_set():
+            while trained[i] < epochs and not stop.is_set():
                 states[i], history = advance(states[i], choices[i]._replace(last_epoch=ends))
                 curves[i] = np.concatenate([curves[i], _finite(history.validation)], axis=1)
                 trained[i] = min(trained[i] + per_call, epochs)
         notify(f"recipe=auto: {len(going)} of {len(among)} candidates after {epochs} epochs")
         scores = [one.score for one in tried()]
-        going = sorted(going, key=scores.__getitem__)[: math.ceil(len(going) / _KEEP)]
+        going = sorted(going, key=scores.__getitem__)[: max(_LAST, math.ceil(len(going) / _KEEP))]
     return tried()
 
 
@@ -112,16 +116,23 @@ def _smaller(plan: Plan) -> Plan:
 
 
 def clearly_better(tried: Sequence[Tried], least: float) -> Tried:
-    """The best candidate of the simplest kind that no other kind clearly beats; least: gain of log E that counts."""
+    """The best candidate of the simplest kind that no other kind clearly beats; least: gain of log E that counts. Of
+    networks, those with the smallest corrections that do as well as the best."""
     kinds: list[list[Tried]] = [[], [], []]
     for one in tried:
         kinds[_kind(one.settings)].append(one)
-    first, *others = (min(kind, key=lambda one: one.score) for kind in kinds if kind)
+    first, *others = (_gentlest(kind) for kind in kinds if kind)
     chosen = first
     for other in others:
         if _beats(other, chosen, least):
             chosen = other
     return chosen
+
+
+def _gentlest(kind: Sequence[Tried]) -> Tried:
+    best = min(kind, key=lambda one: one.score)
+    as_good = [one for one in kind if one.epochs == best.epochs and not _beats(best, one, 0.0)]
+    return min([best, *as_good], key=lambda one: (one.settings.model.correction, one.score))
 
 
 def _beats(other: Tried, simpler: Tried, least: float) -> bool:

@@ -1,5 +1,7 @@
 """Where a free run starts."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -153,3 +155,24 @@ def test_a_run_that_failed_before_the_validation_record_has_failed_there():
     lost = theta._replace(x0=jnp.full_like(theta.x0, jnp.nan))
     assert fit.objective.validate(lost, cut).first_bad == 0
     assert not fit.objective.on_validation(lost, cut).finite
+
+
+def test_a_record_of_training_seen_as_a_test_record_starts_from_its_first_samples():
+    """What later samples say of the start is unknown of a test record; a shared start is known."""
+    whole = cast(simulated(cascaded_tanks(), samples=60, seed=3, noise=0.3), np.float32)
+    again = whole._replace(info=replace(whole.info, same_run=True))
+    for shared in (False, True):
+        initial = InitialState("least_squares", n_init=8, shared=shared)
+        fit, data = small_fit(initial=initial, members=1)
+        one = select(data, 0)._replace(train=whole, validation=again)
+        theta = fit.objective.begin(jax.random.key(0), one)
+        params = fit.objective.assemble(theta, one.scaling)
+        first = whole if shared else crop(whole, 0, 8)
+        start = (
+            fit.objective.trained_start(theta, one)[None]
+            if shared
+            else start_state(fit.objective.model, params, first, initial)
+        )
+        expected = rollout(fit.objective.model, params, whole.u, start)
+        np.testing.assert_allclose(fit.objective.as_tested(theta, one).y, expected.y, rtol=1e-4, atol=1e-4)
+        assert fit.objective.starts_as_tested(again) is not shared

@@ -12,12 +12,17 @@ from pgrssnn_jax.reports.verify import verify
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def both(tmp_path_factory) -> list[Path]:
+    """The same run twice."""
     folder = tmp_path_factory.mktemp("verify")
     data = write_benchmark(folder / "data.csv", samples=160)
-    return trained(
-        folder / "run", "+experiment=cascaded_tank", f"data.path={data}", "data.n_validation=40", *QUICK
-    ).path
+    arguments = ["+experiment=cascaded_tank", f"data.path={data}", "data.n_validation=40", *QUICK]
+    return [trained(folder / name, *arguments).path for name in ("run", "again")]
+
+
+@pytest.fixture
+def run(both) -> Path:
+    return both[0]
 
 
 @pytest.fixture
@@ -29,6 +34,13 @@ def test_a_run_evaluated_again_gives_its_own_bits(run):
     found = verify(run)
     assert (found.members, found.planned) == (2, 2)
     assert found.predictions == found.figures == 0.0
+
+
+def test_the_same_run_again_writes_the_same_bytes_but_for_its_seconds(both):
+    first, second = (json.loads((run / "metrics.json").read_text()) for run in both)
+    assert first.pop("seconds") != second.pop("seconds")
+    assert json.dumps(first) == json.dumps(second)
+    assert (both[0] / "history.csv").read_bytes() == (both[1] / "history.csv").read_bytes()
 
 
 def test_the_command_writes_nothing_and_says_equal(copy, tmp_path):

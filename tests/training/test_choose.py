@@ -45,10 +45,28 @@ def test_networks_must_beat_the_trained_parameters_too():
     assert clearly_better([physics, fitted, tried(BESIDE, np.full(5, -3.0))], 0.1).settings is BESIDE
 
 
+def test_of_networks_that_do_alike_those_with_small_corrections_are_chosen():
+    strong, gentle, worse = (
+        tried(training_settings("pg_rssnn", {"correction": c}), np.array([-2.0, -1.0, -1.5, -2.5, -3.0]) + shift)
+        for c, shift in ((1.0, 0.0), (0.1, np.array([0.02, -0.01, 0.0, 0.03, -0.02])), (0.01, 0.3))
+    )
+    alone = tried(ALONE, np.zeros(5))
+    assert clearly_better([alone, strong, gentle, worse], 0.1) is gentle
+    assert clearly_better([alone, strong, worse], 0.1) is strong
+
+
 def test_members_share_their_epoch_in_the_score():
     """Each member's own best epoch is luck where the others do not have it."""
     lucky = np.ones((5, 5)) - 0.99 * np.eye(5)
     assert Tried(BESIDE, lucky, 5).score == pytest.approx(0.0, abs=1e-6)
+
+
+def test_one_good_validation_between_bad_ones_does_not_count():
+    unsteady = np.tile([1.0, 0.01, 5.0, 3.0, 7.0], (5, 1))
+    steady = np.tile([1.0, 0.9, 0.7, 0.6, 0.5], (5, 1))
+    assert Tried(BESIDE, unsteady, 4).score > Tried(BESIDE, steady, 4).score
+    assert Tried(BESIDE, steady, 4).score == pytest.approx(math.log(0.6))
+    assert Tried(BESIDE, steady[:, :1], 0).score == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("model", ["pg_rssnn", "pg_rssnn_fb", "w_pgnn"])

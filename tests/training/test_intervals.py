@@ -71,6 +71,16 @@ def test_optimism_widens_every_level_alike():
     np.testing.assert_allclose(wider, 2 * plain)
 
 
+def test_few_independent_errors_widen_the_interval():
+    """The same values of errors: in a random order, and sorted in waves that follow each other."""
+    found, record = drawn(1, samples=400)
+    ordered = np.sort(found.error, axis=1)
+    waves = found._replace(error=np.concatenate([ordered[:, ::2], ordered[:, ::-2]], 1))
+    assert waves.independent[0] < 0.1 * found.independent[0]
+    widths = [calibrate(one, [record]).half_width(*one[:2], one.u, 0.9).mean() for one in (found, waves)]
+    assert widths[1] > 1.1 * widths[0]
+
+
 def test_outside_the_range_of_training_the_interval_is_that_of_its_edge():
     found, record = drawn(1, size=lambda y: np.exp(y) / 10)
     intervals = calibrate(found, [record])

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo
-from pgrssnn_jax.training.left_out import at_epoch_of_others, left_out, optimism
+from pgrssnn_jax.training.left_out import LeftOut, at_epoch_of_others, by_long_blocks, left_out, optimism
 
 INFO = RecordInfo((Channel("u"),), (Channel("y"),), 1.0, "simulated")
 
@@ -56,3 +57,21 @@ def test_members_that_stopped_stay_as_they_were_and_epochs_without_validation_do
     assert optimism(losses) == pytest.approx(1.0)
     assert optimism(np.full((2, 3), np.nan)) == 1.0
     assert optimism(np.zeros((2, 0))) == 1.0
+
+
+def test_errors_that_follow_each_other_count_as_few():
+    """An autoregression with a pole at a is worth (1 - a) / (1 + a) of its samples."""
+    rng, time = np.random.default_rng(0), 20000
+    white = rng.standard_normal((1, time, 1))
+    slow = lfilter([1.0], [1.0, -0.9], white, axis=1)
+    for error, share in ((white, 1.0), (slow, 0.1 / 1.9)):
+        found = LeftOut(error, error, error, error, np.ones(error.shape, bool))
+        assert found.independent[0] == pytest.approx(share * time, rel=0.2)
+
+
+def test_errors_on_long_blocks_widen_what_short_ones_say():
+    """Compared after as many epochs, by half the ratio; short blocks that are no easier change nothing."""
+    losses = np.outer([1.0, 4.0], [9.0, 4.0, 1.0, 0.25])
+    assert by_long_blocks(losses, 4.0, 2) == pytest.approx(np.sqrt(4.0 / np.sqrt(2 * 4.0)))
+    assert by_long_blocks(losses, 1.0, 2) == 1.0
+    assert by_long_blocks(np.full((2, 4), np.nan), 4.0, 2) == 1.0
