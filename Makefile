@@ -3,13 +3,14 @@
 # make test-slow  those that need more;  make test-all  both, compiled as users compile
 # make check   formatting, lint, layers and types
 # make install set up .venv alone;  make lock  renew the lock file;  make audit  its known vulnerabilities
+# make mutants  would the tests notice? 300 small faults in the code, one at a time
 # make test-latest  the tests on the newest releases;  make test-oldest  on the lower bounds of pyproject.toml
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := pgrssnn_jax hydra_plugins tests benchmarks train.py discover.py report.py
 
-.PHONY: train test test-slow test-all test-latest test-oldest check audit install lock
+.PHONY: train test test-slow test-all test-latest test-oldest mutants check audit install lock
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
@@ -44,6 +45,10 @@ test-latest test-oldest: test-%:
 	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python \
 	  --resolution $(if $(filter oldest,$*),lowest-direct,highest) --editable '.[test]'
 	$(VENV)-$*/bin/python -m pytest
+
+mutants: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check cosmic-ray
+	$(BIN)/python benchmarks/mutants.py
 
 audit: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit
