@@ -66,8 +66,10 @@ def chosen_table(recipe: Mapping[str, Any], title: str) -> Table:
     ]
     footer = ["left-out NRMSE: geometric mean over members, each at the epoch that is best for the others"]
     if recipe.get("fell_back"):
-        seeds = ", ".join(map(str, recipe["fell_back"]))
-        footer.append(f"seeds that do not beat the physics on what they leave out, and are the physics alone: {seeds}")
+        several = any(one["dataset"] for one in recipe["fell_back"])
+        names = [f"{one['seed']}" + (f" of dataset {one['dataset']}" if several else "") for one in recipe["fell_back"]]
+        which = ", ".join(names)
+        footer.append(f"seeds that do not beat the physics on what they leave out, and are the physics alone: {which}")
     return Table(("left-out NRMSE", "epochs", "candidate"), rows, f"{title} · recipe=auto", footer)
 
 

@@ -163,7 +163,7 @@ def settled(
     plan: Plan, state: MemberState, recipe: Mapping[str, Any] | None
 ) -> tuple[MemberState, dict[str, Any] | None]:
     """The members after training, of which those that are no better than the physics alone on what they leave out are
-    it from here on, and the report of the choice with their seeds. recipe: `Chosen.report`; None: settings that were
+    it from here on, and the report of the choice that names them. recipe: `Chosen.report`; None: settings that were
     given, with which nothing is changed."""
     if recipe is None:
         return state, None
@@ -178,4 +178,5 @@ def settled(
 
     if plan.settings.model.guided and jax.tree.leaves(state.theta):
         state, back = jit_members(one, plan.mapping)(state, plan.data)
-    return state, {**recipe, "fell_back": [m.seed for m, b in zip(plan.members, np.asarray(back), strict=True) if b]}
+    fell_back = [m._asdict() for m, b in zip(plan.members, np.asarray(back), strict=True) if b]
+    return state, {**recipe, "fell_back": fell_back}

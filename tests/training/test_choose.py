@@ -142,7 +142,7 @@ def test_a_member_that_does_not_beat_the_physics_is_the_physics():
         start_from_physics=False, correction=1.0, learning_rate=1e-3, physics_parameters="fixed",
         initial_state="first_output", **QUICK,
     )  # fmt: skip
-    assert fitted.recipe["fell_back"] == [0, 1, 2]
+    assert fitted.recipe["fell_back"] == [{"seed": seed, "dataset": 0} for seed in (0, 1, 2)]
     alone = pg.simulate(cascaded_tanks(), record.u, np.array([4.0, 5.0])).y
     again = fitted.simulate(record.u, np.array([4.0, 5.0]))
     np.testing.assert_allclose(again, np.broadcast_to(alone, again.shape), rtol=2e-4, atol=2e-4)
