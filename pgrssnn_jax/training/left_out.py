@@ -79,15 +79,13 @@ def optimism(losses: Float[np.ndarray, "member epoch"]) -> float:
 
 
 def by_long_blocks(losses: Float[np.ndarray, "member epoch"], nrmse: float, epochs: int) -> float:
-    """sqrt(E_long / E_short), at least 1: NRMSE of members that leave out blocks as long as the system remembers,
-    after so many epochs (`race.Tried`), and that of the trained members on short ones, after as many. In short blocks
-    the samples around them hold a model in place; with long ones it has less to learn from. Another record lies
-    between: its errors are taken for the geometric mean of both."""
+    """E_long / E_short, at least 1: NRMSE of members that leave out blocks as long as the system remembers, after so
+    many epochs (`race.Tried`), and that of the trained members on short ones, after as many. In short blocks the
+    samples around them hold a model in place; another record has none."""
     carried = _carried(losses[:, :epochs])
     if not carried.size or not carried.min() > 0:
         return 1.0
-    short = np.exp(0.5 * np.mean(np.log(at_epoch_of_others(carried))))
-    return max(1.0, float(np.sqrt(nrmse / short)))
+    return max(1.0, float(nrmse / np.exp(0.5 * np.mean(np.log(at_epoch_of_others(carried))))))
 
 
 def _carried(losses: Float[np.ndarray, "member epoch"]) -> Float[np.ndarray, "member validation"]:
