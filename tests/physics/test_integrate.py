@@ -23,7 +23,7 @@ def pendulum_reference(x0, u, span):
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("rk4", 4)])
+@pytest.mark.parametrize(("integrator", "order"), [("euler", 1), ("rk4", 4), ("rosenbrock", 2)])
 def test_error_falls_with_the_order_of_the_integrator(integrator, order):
     exact = pendulum_reference(X0, U, SPAN)
     steps = np.array([8, 16, 32, 64])
@@ -46,6 +46,42 @@ def test_sub_steps_are_shorter_steps_with_the_input_held(integrator):
     for _ in range(4):
         expected = fine(p, expected, u)
     np.testing.assert_allclose(coarse(p, x, u), expected, rtol=1e-14)
+
+
+def stiff(p, x, u):
+    """Van der Pol's oscillator as stiff systems are tested: rates of 1 and of the order of p."""
+    return jnp.stack([x[1], p["mu"] * ((1.0 - x[0] ** 2) * x[1]) - x[0] + u[0]])
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_stiff_system_is_followed_with_steps_far_longer_than_its_fast_time():
+    """0.05 s against 0.3 ms; the explicit methods leave the range."""
+    mu, start, inputs = 1e3, np.array([2.0, 0.0]), np.zeros((40, 1))
+
+    def field(t, x):
+        return [x[1], mu * (1.0 - x[0] ** 2) * x[1] - x[0]]
+
+    exact = scipy.integrate.solve_ivp(field, (0, 2.0), start, method="Radau", rtol=1e-10, atol=1e-12).y[:, -1]
+    ends = {}
+    for integrator in ("rosenbrock", "rk4"):
+        step = zero_order_hold(stiff, dt=0.05, integrator=integrator)
+        ends[integrator], _ = jax.lax.scan(lambda x, u, f=step: (f({"mu": mu}, x, u), None), jnp.asarray(start), inputs)
+    np.testing.assert_allclose(ends["rosenbrock"], exact, rtol=1e-4)
+    assert not np.allclose(ends["rk4"], exact, rtol=0.1)
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_gradient_through_an_implicit_step_is_that_of_finite_differences():
+    step = zero_order_hold(stiff, dt=0.1, integrator="rosenbrock")
+
+    def end(x, mu):
+        return step({"mu": mu}, x, jnp.zeros(1))[1]
+
+    at, mu, h = jnp.array([1.3, 0.2]), 50.0, 1e-6
+    by_x, by_mu = jax.grad(end, (0, 1))(at, mu)
+    moved = [(end(at.at[i].add(h), mu) - end(at.at[i].add(-h), mu)) / (2 * h) for i in (0, 1)]
+    np.testing.assert_allclose(by_x, moved, rtol=1e-6)
+    np.testing.assert_allclose(by_mu, (end(at, mu + h) - end(at, mu - h)) / (2 * h), rtol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")
@@ -94,7 +130,7 @@ def test_sub_steps_are_differentiable_in_reverse():
 
 
 def test_bad_integrator_is_named():
-    with pytest.raises(ValueError, match=r"integrator: expected one of \['euler', 'rk4', 'rk4_looped'\], found 'rk5'"):
+    with pytest.raises(ValueError, match=r"integrator: expected one of \['euler', 'rk4', 'rk4_looped', 'rosenbrock'\], found 'rk5'"):
         zero_order_hold(pendulum, dt=1.0, integrator="rk5")
 
 
