@@ -278,8 +278,8 @@ def continuous(
 ) -> Physics:
     """A `Physics` from dx/dt = derivative(params, x, u), u held over the sample.
 
-    integrator: `euler` or `rk4`; sub_steps: integration steps of dt / sub_steps seconds per sample. The other
-    arguments are those of `discrete`. Its extension points are `DerivativePoints`.
+    integrator: `euler`, `rk4` or `rosenbrock` (`integrate.py`); sub_steps: integration steps of dt / sub_steps seconds
+    per sample. The other arguments are those of `discrete`. Its extension points are `DerivativePoints`.
     """
 
     def build(integrator: Integrator | str, sub_steps: int) -> Physics:
