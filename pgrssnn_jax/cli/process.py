@@ -77,5 +77,5 @@ def _unwritten(problem: BaseException, folder: Path) -> str | None:
             return None  # a file of the user's own
         known = problem.errno in _NO_ROOM or (named and (problem.errno in _NO_ENTRY or not folder.is_dir()))
         return problem.strerror if known else None
-    codes = _NO_ROOM + (_NO_ENTRY if "OS error" in str(problem) else ())  # TensorStore's words, for checkpoints
+    codes = _NO_ROOM + (_NO_ENTRY if "os_error_code" in str(problem) else ())  # TensorStore's, for checkpoints
     return next((os.strerror(code) for code in codes if os.strerror(code) in str(problem)), None)

@@ -26,7 +26,8 @@ def test_a_folder_that_cannot_be_written_is_named_with_its_reason(tmp_path):
         full,
         raised(ValueError("a checkpoint failed"), full),
         OSError(errno.EPERM, os.strerror(errno.EPERM), str(run / "DONE")),
-        RuntimeError("RESOURCE_EXHAUSTED: Error writing [OS error 28: ENOSPC No space left on device]"),
+        ValueError("RESOURCE_EXHAUSTED: Error writing: No space left on device [os_error_code='28']"),
+        ValueError("PERMISSION_DENIED: Failed to open: Operation not permitted [os_error_code='1']"),
     ):
         sentence = refusal(problem, run)
         assert sentence is not None
