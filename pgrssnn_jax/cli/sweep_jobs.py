@@ -163,6 +163,7 @@ def run_job(prepare: Callable[[Any], Any], config: Any, stop: threading.Event) -
             work = prepare(config)
             _unless(stop)
             work.do(stop)
+            _unless(stop)  # asked for while the last figures were drawn: no further job begins
         except Interrupted:
             raise
         except (Exception, SystemExit) as problem:  # a user's physics may do anything

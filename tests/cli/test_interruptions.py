@@ -105,7 +105,7 @@ def check_ending(ended: Ended, kind: str, *, finished: bool) -> None:
         "SIGINT": {130, 0},
         "full disk": {2, 0},
         "read-only": {2, 0},
-        "no memory": {2, 0, -6, -11},  # libraries abort, or say what they like, where they get none
+        "no memory": {2, 0, 1, -6, -11},  # libraries abort, or say what they like, where they get none
     }[kind]
     if finished:  # a signal that comes while the interpreter closes down
         allowed |= {-15, -2}
