@@ -1,6 +1,7 @@
 """What every entry script does around its work: set up JAX, hold the run folder, turn bad input into one sentence."""
 
 import logging
+import signal
 import sys
 import threading
 import warnings
@@ -14,7 +15,7 @@ from hydra.types import RunMode
 
 from pgrssnn_jax.acceleration.devices import keep_compiled, use_all_cores
 from pgrssnn_jax.cli.config_store import register
-from pgrssnn_jax.cli.process import BAD_INPUT, INTERRUPTED, Interrupted, say, stop_signal
+from pgrssnn_jax.cli.process import BAD_INPUT, INTERRUPTED, Interrupted, refusal, say, stop_signal
 from pgrssnn_jax.training.run_lock import locked
 
 
@@ -28,8 +29,9 @@ class Work(NamedTuple):
 def run(prepare: Callable[[Any], Work], config: Any) -> Any:
     """Bad input raises `ValueError` while preparing, before anything is written.
 
-    Exit code 2 for bad input, 130 for an interrupted run; any other exception is a bug and keeps its traceback. A job
-    of a sweep returns how it ended instead, and only an interruption exits.
+    Exit code 2 for bad input, for a folder that cannot be written and where memory ends, 130 for an interrupted run;
+    any other exception is a bug and keeps its traceback. A job of a sweep returns how it ended instead, and only an
+    interruption exits.
     """
     if str(Path.cwd()) not in sys.path:
         sys.path.insert(0, str(Path.cwd()))  # a user's own physics lives where the command is typed
@@ -50,7 +52,13 @@ def run(prepare: Callable[[Any], Work], config: Any) -> Any:
                 sys.exit(say(str(problem)))
             if stop.is_set():
                 raise Interrupted("stopped before training; nothing was written")
-            work.do(stop)
+            try:
+                work.do(stop)
+            except Exception as problem:
+                sentence = refusal(problem, work.folder)
+                if sentence is None:
+                    raise
+                sys.exit(say(sentence))
     except (Interrupted, KeyboardInterrupt) as stopped:
         sys.stderr.write(f"{stopped or 'stopped; a run folder that was begun can be resumed'}\n")
         sys.exit(INTERRUPTED)
@@ -62,12 +70,17 @@ def call(main: Callable[[], None]) -> None:
     Hydra itself ends with 1 both for that and for an exception in the job.
     """
     register()
+    main_thread = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main_thread else None  # also between jobs
     try:
         main()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except SystemExit as ended:
         sys.exit(BAD_INPUT if ended.code == 1 and not HydraConfig.initialized() else ended.code)
+    finally:
+        if main_thread:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _warned(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

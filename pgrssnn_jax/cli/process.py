@@ -1,15 +1,24 @@
-"""A process of the commands: its exit codes, its error line, and how a person stops it. Standard library alone."""
+"""A process of the commands: its exit codes, its error line, how a person stops it, and what a machine can refuse it.
 
+Standard library alone.
+"""
+
+import errno
+import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+_NO_ENTRY = (errno.EACCES, errno.EPERM)
+_NO_MEMORY = ("RESOURCE_EXHAUSTED", "Out of memory", "bad_alloc", "can't start new thread", os.strerror(errno.ENOMEM))
 
 
 class Interrupted(Exception):
@@ -43,3 +52,30 @@ def stop_signal() -> Iterator[threading.Event]:
 def say(sentence: str) -> int:
     sys.stderr.write(f"error: {sentence}\n")
     return BAD_INPUT
+
+
+def refusal(problem: BaseException, folder: Path) -> str | None:
+    """One sentence where a computation ended because the machine gave it no room in `folder`, or no memory; None for
+    every other problem. Looks behind the exceptions that libraries raise instead."""
+    chain: list[BaseException] = []
+    following: BaseException | None = problem
+    while following is not None and following not in chain:
+        chain.append(following)
+        following = following.__cause__ or following.__context__
+    for each in chain:
+        if reason := _unwritten(each, folder):
+            return f"{folder}: expected a folder that can be written, found: {reason}; what is whole there stays"
+    if any(isinstance(each, MemoryError) or any(words in str(each) for words in _NO_MEMORY) for each in chain):
+        return f"{folder}: expected enough memory to go on, found none left; what is whole there stays"
+    return None
+
+
+def _unwritten(problem: BaseException, folder: Path) -> str | None:
+    if isinstance(problem, OSError):
+        named = problem.filename is not None
+        if named and not Path(os.fsdecode(problem.filename)).absolute().is_relative_to(folder.absolute()):
+            return None  # a file of the user's own
+        known = problem.errno in _NO_ROOM or (named and (problem.errno in _NO_ENTRY or not folder.is_dir()))
+        return problem.strerror if known else None
+    codes = _NO_ROOM + (_NO_ENTRY if "os_error_code" in str(problem) else ())  # TensorStore's, for checkpoints
+    return next((os.strerror(code) for code in codes if os.strerror(code) in str(problem)), None)

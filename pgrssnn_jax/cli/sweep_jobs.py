@@ -11,7 +11,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from rich.console import Console
 
 from pgrssnn_jax.acceleration.devices import usable_cores
 from pgrssnn_jax.cli.plan import plain_config
-from pgrssnn_jax.cli.process import BAD_INPUT, Interrupted, say
+from pgrssnn_jax.cli.process import BAD_INPUT, Interrupted, refusal, say
 from pgrssnn_jax.cli.resume import key_of, override
 from pgrssnn_jax.cli.sweeps import JobResult, content_name, job_status, result_table
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
@@ -145,30 +145,34 @@ def run_job(prepare: Callable[[Any], Any], config: Any, stop: threading.Event) -
     def show(line: str) -> None:
         console.print(line, soft_wrap=True)
 
-    with locked(run.path, stop, show):
-        _unless(stop)
+    with ExitStack() as lock:
         try:
+            lock.enter_context(locked(run.path, stop, show))
+            _unless(stop)
             there = job_status(run, plain_config(config))
         except ValueError as problem:
             return _failed(run, str(problem))
         if there == "finished":
             return JobResult(run.path, "skipped")
-        run.forget_failure()
         if there == "begun":
             config.resume = str(run.path)
         show(f"{'going on with' if there == 'begun' else 'beginning'} {short_path(run.path)}")
         work = None
         try:
+            run.forget_failure()
             work = prepare(config)
             _unless(stop)
             work.do(stop)
+            _unless(stop)  # asked for while the last figures were drawn: no further job begins
         except Interrupted:
             raise
         except (Exception, SystemExit) as problem:  # a user's physics may do anything
-            foreseen = work is None and isinstance(problem, ValueError)
-            reason = str(problem) if foreseen else f"{type(problem).__name__}: {_sentence(problem)}; see traceback.txt"
+            refused = refusal(problem, run.path)
+            if refused is None and work is None and isinstance(problem, ValueError):
+                refused = str(problem)
+            reason = refused or f"{type(problem).__name__}: {_sentence(problem)}; see traceback.txt"
             show(f"failed: {short_path(run.path)}: {reason}")
-            return _failed(run, reason, None if foreseen else traceback.format_exc(), time.perf_counter() - started)
+            return _failed(run, reason, None if refused else traceback.format_exc(), time.perf_counter() - started)
         return JobResult(run.path, "finished", seconds=time.perf_counter() - started)
 
 
@@ -180,7 +184,8 @@ def _unless(stop: threading.Event) -> None:
 def _failed(run: RunFolder, reason: str, trace: str | None = None, seconds: float = 0.0) -> JobResult:
     """Leaves the reason in the folder, but for a finished run, which stays what it is."""
     if not run.finished:
-        run.fail(reason, trace)
+        with suppress(OSError):  # where the folder cannot be written the table alone says why
+            run.fail(reason, trace)
     return JobResult(run.path, "failed", reason, seconds)
 
 

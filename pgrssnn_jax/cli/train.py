@@ -162,7 +162,6 @@ def train_run(
     checkpoints = CheckpointFolder(run.checkpoint)
     if first is None:
         first = first_checkpoint(plan)
-        checkpoints.clear()
         checkpoints.save(first)  # from here on the run can be resumed, whatever ends it
     saved = time.perf_counter()
 

@@ -1,6 +1,7 @@
 """The pictures and the page of a run, from what its folder holds; so they can be made again at any time."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,10 +54,10 @@ def _how_made(run: RunFolder) -> dict[str, Any]:
 
 def save_figures(run: RunFolder, figures: Mapping[str, Figure]) -> dict[str, Path]:
     """Writes the figures of a run; title → PNG file."""
-    run.figures.mkdir(parents=True, exist_ok=True)
     files = {title: run.figures / f"{title.lower()}.png" for title in figures}
     for title, figure in figures.items():
-        figure.savefig(files[title], dpi=_DOTS_PER_INCH)
+        name = f"{run.figures.name}/{files[title].name}"
+        run.write(name, partial(figure.savefig, dpi=_DOTS_PER_INCH, format="png"))
     return files
 
 

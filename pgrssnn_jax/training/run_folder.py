@@ -3,8 +3,8 @@
     config.yaml  environment.json  history.csv  metrics.json  predictions.npz  checkpoint/  figures/*.png
     report.html  DONE           a job of a sweep that failed: FAILED, and traceback.txt where the cause is unknown
 
-Files of numbers and text are written under a temporary name and renamed; `DONE` is written last, so a folder without
-it holds a run that has not finished.
+Every file is written under a temporary name, brought to the disk and renamed; `DONE` is written last, so a folder
+without it holds a run that has not finished.
 """
 
 import json
@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -59,12 +60,17 @@ class RunFolder:
     ) -> None:
         """Writes what is known before training: configuration, environment, command, and where the data came from.
 
-        The results of an earlier run in this folder go first: from here on the run is unfinished. command None: a
-        resumed run, whose environment, command and physics stay on record. choices: names of the configuration's
-        files, where there were any; physics: what `effects/stored.py` needs to build it again.
+        The results of an earlier run in this folder go first: from here on the run is unfinished. Its checkpoints go
+        with them, in one step, because no run may go on from those of another one. command None: a resumed run, whose
+        environment, command, physics and checkpoints stay on record. choices: names of the configuration's files,
+        where there were any; physics: what `effects/stored.py` needs to build it again.
         """
         self._remove(*_RESULTS, *(("physics.json",) if physics is not None else ()))
         shutil.rmtree(self.figures, ignore_errors=True)
+        for left in self.path.glob(".*.partial"):  # by a process that was killed while it wrote
+            left.unlink(missing_ok=True)
+        if command is not None:
+            self._forget_checkpoints()
         self.write_text("config.yaml", config_text)
         if command is not None:
             more = {"command": command, "data": data, "choices": choices or {}}
@@ -82,21 +88,36 @@ class RunFolder:
         if before != dict(data):
             raise ValueError(f"resume: data: expected {before} as the run began with, found {dict(data)}")
 
+    def write(self, name: str, write: Callable[[Path], object]) -> None:
+        """What `write` writes into the path that it is given, or nothing. name: may lie in a folder."""
+        path = self.path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = path.with_name(f".{path.name}.partial")
+        try:
+            write(temporary)
+            with temporary.open("rb") as file:
+                os.fsync(file.fileno())  # a name that is on the disk before its content would stand for a half file
+            temporary.replace(path)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            raise
+
     def write_text(self, name: str, text: str) -> None:
-        self._replace(name, lambda path: path.write_text(text, encoding="utf-8"))
+        self.write(name, lambda path: path.write_text(text, encoding="utf-8"))
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> None:
         self.write_text(name, json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
 
     def write_csv(self, name: str, table: pd.DataFrame) -> None:
-        self._replace(name, lambda path: table.to_csv(path, index=False))
+        self.write(name, lambda path: table.to_csv(path, index=False))
 
     def write_arrays(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
         def write(path: Path) -> None:
             with path.open("wb") as file:
                 np.savez_compressed(file, allow_pickle=False, **arrays)
 
-        self._replace(name, write)
+        self.write(name, write)
 
     def read_json(self, name: str) -> dict[str, Any]:
         """The named values of a file, none where there is no file. Raises `ValueError` for a damaged one."""
@@ -141,11 +162,13 @@ class RunFolder:
         for name in names:
             (self.path / name).unlink(missing_ok=True)
 
-    def _replace(self, name: str, write: Callable[[Path], object]) -> None:
-        self.path.mkdir(parents=True, exist_ok=True)
-        temporary = self.path / f".{name}.partial"
-        write(temporary)
-        temporary.replace(self.path / name)
+    def _forget_checkpoints(self) -> None:
+        """Renamed first: half of a checkpoint that is being removed must not be taken for one."""
+        removed = self.path / ".checkpoint.removed"
+        shutil.rmtree(removed, ignore_errors=True)
+        if self.checkpoint.exists():
+            self.checkpoint.rename(removed)
+            shutil.rmtree(removed, ignore_errors=True)
 
 
 def environment() -> dict[str, Any]:

@@ -23,7 +23,8 @@ def locked(
 
     Where another process has it: raises `ValueError` that names the holder, or, with `stop`, waits until it is free or
     `stop` is set, because a killed sweep may leave workers behind that still train. The lock is a file beside the
-    folder, gone when nobody holds it. File systems that know no locks have none.
+    folder, gone when nobody holds it; raises `ValueError` too where none can be. File systems that know no locks have
+    none.
     """
     lock = folder.absolute().parent / f".{folder.absolute().name}.lock"
     file, told = -1, False
@@ -43,15 +44,20 @@ def locked(
         yield
     finally:
         if file >= 0:
-            lock.unlink(missing_ok=True)
+            with suppress(OSError):  # in a folder that has become read-only it stays behind, and holds nobody up
+                lock.unlink()
             os.close(file)
 
 
 def _taken(path: Path) -> int:
     """The open file of the lock, or -1 when another process has it."""
     assert fcntl is not None
-    path.parent.mkdir(parents=True, exist_ok=True)
-    file = os.open(path, os.O_RDWR | os.O_CREAT)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = os.open(path, os.O_RDWR | os.O_CREAT)
+    except OSError as problem:
+        expected = "expected a folder that can be written"
+        raise ValueError(f"{path.parent}: {expected}, found: {problem.strerror}") from None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -61,8 +67,9 @@ def _taken(path: Path) -> int:
         return file
     with suppress(FileNotFoundError):  # the last holder removes the file: a lock on what is gone is none
         if os.fstat(file).st_ino == path.stat().st_ino:
-            os.ftruncate(file, 0)
-            os.write(file, f"process {os.getpid()} on {socket.gethostname()}".encode())
+            with suppress(OSError):  # on a full disk the lock is held, but says not by whom
+                os.ftruncate(file, 0)
+                os.write(file, f"process {os.getpid()} on {socket.gethostname()}".encode())
             return file
     os.close(file)
     return -1

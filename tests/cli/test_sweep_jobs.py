@@ -17,6 +17,7 @@ from pgrssnn_jax.training.run_folder import RunFolder, read_config
 # train.py with work that takes no time: seed 1 is bad input and seed 2 an exception, until FIXED is set
 STUB = f"""
 import os
+import signal
 from pathlib import Path
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -38,6 +39,8 @@ def prepare(config):
             print("waiting", flush=True)
             stop.wait(60)
             raise Interrupted("stopped")
+        if settings["seed"] == 8 and "FIXED" not in os.environ:
+            os.kill(os.getpid(), signal.SIGINT)  # as a user does while the last figures are drawn
         run.write_json("metrics.json", {{"resumed": settings["resume"]}})
         run.finish()
     return entry.Work(run.path, work)
@@ -70,6 +73,18 @@ def told(out: str, name: str) -> list[str]:
     """The last table's row of a job, in words."""
     rows = [line.split() for line in out.splitlines() if name in line.split()]
     return rows[-1]
+
+
+def test_no_further_job_begins_after_ctrl_c_even_where_the_last_one_had_nothing_left_to_stop(tmp_path, stub):
+    sweep = ["-m", "+experiment=cascaded_tank", "seed=7,8,9", "model=rssnn"]
+    code, _, err = command(*sweep, cwd=tmp_path, script=stub)
+    assert code == 130
+    assert "the same command goes on with the sweep" in err
+    runs = folders(tmp_path / "runs/cascaded_tank")
+    assert {name: run.finished for name, run in runs.items()} == {
+        "model=rssnn,seed=7": True,
+        "model=rssnn,seed=8": True,
+    }
 
 
 def test_a_failing_job_never_stops_the_others_and_the_next_start_only_does_what_is_left(tmp_path, stub):

@@ -1,6 +1,8 @@
 """The run folder."""
 
+import errno
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -38,6 +40,33 @@ def test_a_failed_write_leaves_the_earlier_file(tmp_path):
         run.write_json("metrics.json", {"a": object()})
     assert json.loads((tmp_path / "metrics.json").read_text()) == {"a": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["metrics.json"]
+
+
+def test_a_write_that_breaks_off_leaves_nothing_of_its_own(tmp_path):
+    run = RunFolder(tmp_path)
+    run.write_text("figures/a.txt", "whole")
+
+    def breaks_off(path: Path) -> None:
+        path.write_text("ha")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(OSError, match="No space left"):
+        run.write("figures/a.txt", breaks_off)
+    assert [path.read_text() for path in run.figures.iterdir()] == ["whole"]
+
+
+def test_a_new_run_never_finds_the_checkpoints_of_the_one_before(tmp_path, monkeypatch):
+    """Killed before its own first checkpoint, it would go on from numbers of another configuration."""
+    run = RunFolder(tmp_path / "run")
+    (run.checkpoint / "20").mkdir(parents=True)
+    (run.path / ".metrics.json.partial").write_text("{")
+    run.begin("a: 1\n", command=None, data={})
+    assert run.has_checkpoint
+    monkeypatch.setattr(run, "write_text", None)  # nothing is written any more
+    with pytest.raises(TypeError):
+        run.begin("a: 2\n", command="python train.py", data={})
+    assert read_config(run.path) == {"a": 1}
+    assert [path.name for path in run.path.iterdir()] == ["config.yaml"]
 
 
 def test_done_comes_last_and_goes_first(tmp_path):
