@@ -102,15 +102,15 @@ def discover_in(
         if _elaborate(named, setup, chosen.criteria):
             notify("errors stay above the noise: elaborate effects are looked for too")
             named = _named(corrected.with_catalogue(problem, setup.effects), setup, notify, seconds)
-        notify("the numbers of what was found, where the physics is wrong, and how sure that is")
+        notify("locating: the correction that each equation would need")
         with _timed(seconds, "numbers"):
             named = named._replace(selection=named.how.finish(named.problem, named.selection))
         with _timed(seconds, "locate"):
             location = _located(named)
-        notify("beside corrections without a name")
+        notify("judging: what corrections without a name would explain")
         with _timed(seconds, "judge"):
             judged = _judged(named, corrected, chosen)
-        notify("intervals, and the test record")
+        notify("proving: intervals, and the test record")
         with _timed(seconds, "numbers"):
             numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria.block)
         with _timed(seconds, "prove"):
