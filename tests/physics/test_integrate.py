@@ -130,7 +130,9 @@ def test_sub_steps_are_differentiable_in_reverse():
 
 
 def test_bad_integrator_is_named():
-    with pytest.raises(ValueError, match=r"integrator: expected one of \['euler', 'rk4', 'rk4_looped', 'rosenbrock'\], found 'rk5'"):
+    with pytest.raises(
+        ValueError, match=r"integrator: expected one of \['euler', 'rk4', 'rk4_looped', 'rosenbrock'\], found 'rk5'"
+    ):
         zero_order_hold(pendulum, dt=1.0, integrator="rk5")
 
 
