@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from pgrssnn_jax.records.arguments import positive
+
 State = Float[jax.Array, " x"]
 Derivative = Callable[[Any, State, Float[jax.Array, " u"]], State]
 Integrator = Callable[[Callable[[State], State], State, float], State]
@@ -48,7 +50,7 @@ INTEGRATORS: dict[str, Integrator] = {"euler": euler, "rk4": rk4, "rk4_looped": 
 
 def named(integrator: Integrator | str) -> Integrator:
     """Raises `ValueError` for an unknown name."""
-    if not isinstance(integrator, str):
+    if callable(integrator):
         return integrator
     if integrator not in INTEGRATORS:
         raise ValueError(f"physics: integrator: expected one of {sorted(INTEGRATORS)}, found {integrator!r}")
@@ -92,9 +94,11 @@ def derivative_points(
 
     Raises `ValueError` for an unknown integrator or fewer than one sub-step."""
     one = named(integrator)
+    if not isinstance(sub_steps, int):
+        raise ValueError(f"physics: sub_steps: expected a whole number of at least 1, found {sub_steps!r}")
     if sub_steps < 1:
         raise ValueError(f"physics: sub_steps: expected at least 1, found {sub_steps}")
-    h = dt / sub_steps
+    h = positive("physics: dt", dt, "sample time in seconds") / sub_steps
     return DerivativePoints(derivative, lambda p, field, x, u: one(field, x, h), measure, h, sub_steps)
 
 

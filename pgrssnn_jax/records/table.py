@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _LONGEST = 40  # characters of a bad cell shown in a message
+_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 class Table(NamedTuple):
@@ -48,12 +49,18 @@ def read_table(path: str | Path) -> Table:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise problem(path, 1, None, "text in UTF-8", "text in UTF-16") from None
         line = content[: error.start].count(b"\n") + 1
         raise problem(path, line, None, "text in UTF-8", f"the byte 0x{content[error.start]:02x}") from None
     rows, lines = _read_rows(path, text)
     if not rows:
         raise problem(path, 1, None, "a header with column names", "an empty file")
     header = rows.pop(0)
+    if other := next((mark for mark in _OTHER_SEPARATORS if len(header) == 1 and mark in header[0]), None):
+        raise problem(
+            path, lines[0], None, "commas between columns", f"{_OTHER_SEPARATORS[other]} in {quoted_cell(header[0])}"
+        )
     for name, times in Counter(name for name in header if name).items():
         if times > 1:
             raise problem(path, lines[0], name, "every column name once", f"it {times} times")
