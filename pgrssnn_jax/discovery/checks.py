@@ -11,6 +11,7 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.physics.base import Physics
 
 
 def check_physics(setup: Setup) -> None:
@@ -20,20 +21,39 @@ def check_physics(setup: Setup) -> None:
         problem = build_problem(setup.physics, ())
         record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
         signals = record.signals(problem, 0)
-        _, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
-        _check_free_run(problem, x[0])
+        y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
+        _check_free_run(problem, y[0], x[0])
         origin = setup.physics.origin
         if origin is None or not origin.target.startswith("pgrssnn_jax."):
             _check_derivatives(problem, signals, x[0])
 
 
-def _check_free_run(problem: Problem, x: Float[np.ndarray, "seq time x"]) -> None:
-    finite = np.isfinite(x).all((0, 2))
-    if not finite.all():
+def _check_free_run(problem: Problem, y: Float[np.ndarray, "seq time y"], x: Float[np.ndarray, "seq time x"]) -> None:
+    physics = problem.physics
+    for what, signals, values in (("state", problem.full.states, x), ("output", physics.outputs, y)):
+        finite = np.isfinite(values).all((0, 2))
+        if finite.all():
+            continue
+        first = int(np.argmin(finite))
+        name = signals[int(np.argmin(np.isfinite(values[:, first]).all(0)))].name
         raise ValueError(
-            f"physics {problem.physics.name!r}: expected a free run that stays finite over the record, found states "
-            f"beyond the floating-point range from sample {int(np.argmin(finite))} on"
+            f"physics {physics.name!r}: expected a free run that stays finite over the record, found {what} {name!r} "
+            f"beyond the floating-point range from sample {first} on{_hint(physics, first) if what == 'state' else ''}"
         )
+
+
+def _hint(physics: Physics, first: int) -> str:
+    """What helps where the first steps were finite: a step that is too long for its integrator grows without bound."""
+    if not first:
+        return ""
+    steps = physics.settings.get("sub_steps")
+    if steps is None:
+        return f" (the step of dt={physics.dt:g} s may be too long for this system: divide it inside the step function)"
+    method = physics.settings.get("integrator")
+    return (
+        f" (the step of {physics.dt / steps:g} s may be too long{f' for {method}' if isinstance(method, str) else ''}, "
+        f"as it is for a stiff system: sub_steps={10 * steps} in place of {steps} makes it shorter)"
+    )
 
 
 def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.models.gru import delayed
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.models.networks import Networks
+from pgrssnn_jax.records.arguments import check_kind
 from pgrssnn_jax.records.record import Array
 
 Route = Literal["fused", "split"]
@@ -49,7 +50,9 @@ def rollout(
         raise ValueError(f"rollout: route: expected 'fused', 'split' or None, found {route!r}")
     if route == "split" and model.spec.feedback:
         raise ValueError("rollout: route: expected 'fused' for a model with state feedback, found 'split'")
+    check_kind("rollout: model", model, Model, "a model, ensemble.model say")
     u, x0 = jnp.asarray(u), jnp.asarray(x0)
+    x0 = x0 if jnp.issubdtype(x0.dtype, jnp.floating) else x0.astype(jnp.float32)
     _check_shapes(model, u, x0, valid)
     networks = model.networks(params)
     params = params._replace(physics=jax.tree.map(lambda p: jnp.asarray(p, x0.dtype), params.physics))

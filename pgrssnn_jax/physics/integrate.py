@@ -52,7 +52,7 @@ def named(integrator: Integrator | str) -> Integrator:
     """Raises `ValueError` for an unknown name."""
     if callable(integrator):
         return integrator
-    if integrator not in INTEGRATORS:
+    if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise ValueError(f"physics: integrator: expected one of {sorted(INTEGRATORS)}, found {integrator!r}")
     return INTEGRATORS[integrator]
 

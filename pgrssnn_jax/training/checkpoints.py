@@ -65,6 +65,9 @@ class CheckpointFolder:
                 )
             leaves = [arrays[key] for key in sorted(arrays)]
             trees[name] = jax.tree.unflatten(jax.tree.structure(getattr(like, name)), leaves)
+        there = sorted(found.get("losses", ()))
+        if epoch and there != sorted(Losses._fields):
+            raise ValueError(f"checkpoint: losses: expected {sorted(Losses._fields)}, found {there}")
         losses = Losses(**found["losses"]) if epoch else no_losses(len(trees["state"].epoch))
         return Checkpoint(**trees, losses=losses)
 
@@ -73,7 +76,7 @@ class CheckpointFolder:
             found = self._manager.restore(epoch, args=ocp.args.StandardRestore())
         except Exception as problem:  # orbax raises whatever a damaged file leads it to
             found = first_line(problem)
-        if not isinstance(found, Mapping):
+        if not isinstance(found, Mapping) or not all(isinstance(part, Mapping) for part in found.values()):
             raise ValueError(f"checkpoint: expected a whole one in {str(self._manager.directory)!r}, found {found}")
         return found
 
