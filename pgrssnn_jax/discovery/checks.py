@@ -12,6 +12,9 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.simulate import free_run
+
+_SHORTER = (10, 100)  # times as many sub-steps
 
 
 def check_physics(setup: Setup) -> None:
@@ -22,38 +25,43 @@ def check_physics(setup: Setup) -> None:
         record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
         signals = record.signals(problem, 0)
         y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
-        _check_free_run(problem, y[0], x[0])
+        _check_free_run(problem, signals, y[0], x[0])
         origin = setup.physics.origin
         if origin is None or not origin.target.startswith("pgrssnn_jax."):
             _check_derivatives(problem, signals, x[0])
 
 
-def _check_free_run(problem: Problem, y: Float[np.ndarray, "seq time y"], x: Float[np.ndarray, "seq time x"]) -> None:
+def _check_free_run(
+    problem: Problem, signals: Signals, y: Float[np.ndarray, "seq time y"], x: Float[np.ndarray, "seq time x"]
+) -> None:
     physics = problem.physics
-    for what, signals, values in (("state", problem.full.states, x), ("output", physics.outputs, y)):
+    for what, named, values in (("state", problem.full.states, x), ("output", physics.outputs, y)):
         finite = np.isfinite(values).all((0, 2))
         if finite.all():
             continue
         first = int(np.argmin(finite))
-        name = signals[int(np.argmin(np.isfinite(values[:, first]).all(0)))].name
+        name = named[int(np.argmin(np.isfinite(values[:, first]).all(0)))].name
+        hint = _of_shorter_steps(physics, signals) if what == "state" and first else ""
         raise ValueError(
             f"physics {physics.name!r}: expected a free run that stays finite over the record, found {what} {name!r} "
-            f"beyond the floating-point range from sample {first} on{_hint(physics, first) if what == 'state' else ''}"
+            f"beyond the floating-point range from sample {first} on{hint}"
         )
 
 
-def _hint(physics: Physics, first: int) -> str:
-    """What helps where the first steps were finite: a step that is too long for its integrator grows without bound."""
-    if not first:
-        return ""
-    steps = physics.settings.get("sub_steps")
+def _of_shorter_steps(physics: Physics, signals: Signals) -> str:
+    """Do they help? Explicit integrators of a stiff system need them."""
+    steps, known = physics.settings.get("sub_steps"), physics.settings.get("integrator")
     if steps is None:
-        return f" (the step of dt={physics.dt:g} s may be too long for this system: divide it inside the step function)"
-    method = physics.settings.get("integrator")
-    return (
-        f" (the step of {physics.dt / steps:g} s may be too long{f' for {method}' if isinstance(method, str) else ''}, "
-        f"as it is for a stiff system: sub_steps={10 * steps} in place of {steps} makes it shorter)"
-    )
+        return f" (a step of dt={physics.dt:g} s may be too long for this system: the step function may divide it)"
+    method = known if isinstance(known, str) else "this integrator"
+    for more in _SHORTER:
+        _, x = free_run(physics.variant(sub_steps=more * steps), signals.u, signals.start)
+        if np.isfinite(np.asarray(x)).all():
+            return (
+                f" (its step of {physics.dt / steps:g} s is too long for {method}, as it is where a system is stiff: "
+                f"sub_steps={more * steps} in place of {steps} keeps the run finite)"
+            )
+    return f" (shorter steps of {method}, up to sub_steps={_SHORTER[-1] * steps}, do not help)"
 
 
 def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:
