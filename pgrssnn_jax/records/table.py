@@ -106,7 +106,7 @@ def _read_bytes(path: str | Path) -> bytes:
     except (FileNotFoundError, ValueError):  # ValueError: a null character in the name
         found = "no such file"
     except OSError as error:
-        found = "a folder" if file.is_dir() else (error.strerror or type(error).__name__).lower()
+        found = "a folder" if isinstance(error, IsADirectoryError) else (error.strerror or type(error).__name__).lower()
     raise ValueError(f"{path}: expected a readable CSV file, found {found}")
 
 
