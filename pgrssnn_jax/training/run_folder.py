@@ -7,6 +7,7 @@ Files of numbers and text are written under a temporary name and renamed; `DONE`
 it holds a run that has not finished.
 """
 
+import io
 import json
 import math
 import os
@@ -118,7 +119,7 @@ class RunFolder:
         if not path.is_file():
             return {}
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
                 return {key: arrays[key] for key in arrays.files}
         except Exception as problem:  # NumPy and zlib raise whatever a damaged file leads them to
             raise ValueError(f"{path}: expected arrays of numbers, found {first_line(problem)}") from None
