@@ -8,6 +8,7 @@ import hashlib
 import inspect
 import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, e
     found = add_named(base, {name: effects[name] for name in order if name not in there}, extra)
     start = stored["initial_state"] or {}
     for name, value in start.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < math.inf:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
             raise ValueError(f"{where}: initial_state: {name}: expected a finite number, found {shown(value)}")
     states = tuple(s._replace(start=start[s.name]) if s.name in start else s for s in found.states)
     return found._replace(states=states, discovered=bool(stored.get("discovered", "verdict" in stored)))

@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from pgrssnn_jax.records.arguments import positive
+from pgrssnn_jax.records.arguments import positive, shown
 
+_MOST = 10**6  # sub-steps of a sample: more take minutes
 State = Float[jax.Array, " x"]
 Derivative = Callable[[Any, State, Float[jax.Array, " u"]], State]
 Integrator = Callable[[Callable[[State], State], State, float], State]
@@ -98,6 +99,8 @@ def derivative_points(
         raise ValueError(f"physics: sub_steps: expected a whole number of at least 1, found {sub_steps!r}")
     if sub_steps < 1:
         raise ValueError(f"physics: sub_steps: expected at least 1, found {sub_steps}")
+    if sub_steps > _MOST:
+        raise ValueError(f"physics: sub_steps: expected at most {_MOST}, found {shown(sub_steps)}")
     h = positive("physics: dt", dt, "sample time in seconds") / sub_steps
     return DerivativePoints(derivative, lambda p, field, x, u: one(field, x, h), measure, h, sub_steps)
 

@@ -1,5 +1,6 @@
 """What the numbers of a physics mean: its parameters and its signals, and the sentence for what is none of them."""
 
+import sys
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -71,7 +72,9 @@ def checked_span(where: str, given: Any) -> tuple[float, float]:
     ends = given if isinstance(given, tuple | list) and len(given) == 2 else (np.nan, np.nan)
     if not all(isinstance(end, int | float | np.number) for end in ends) or not ends[0] <= ends[1]:
         raise ValueError(f"{where}: expected (low, high) with low ≤ high, found {shown(given)}")
-    return float(ends[0]), float(ends[1])
+    most = sys.float_info.max  # which a whole number may exceed
+    low, high = (np.inf if end > most else -np.inf if end < -most else float(end) for end in ends)
+    return low, high
 
 
 def check_number(where: str, value: Any, meaning: Parameter) -> None:

@@ -3,6 +3,7 @@ composed configuration, single values, arrays of numbers."""
 
 import inspect
 import math
+import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -95,7 +96,7 @@ def check_kind(where: str, value: Any, kind: Any, expected: str) -> None:
 def positive(where: str, value: Any, what: str) -> float:
     """A finite number above 0; what: in words. Raises `ValueError` for anything else."""
     number = value if isinstance(value, int | float | np.number) and not isinstance(value, bool) else math.nan
-    if isinstance(number, complex | np.complexfloating) or not 0 < number < math.inf:
+    if isinstance(number, complex | np.complexfloating) or not 0 < number <= sys.float_info.max:
         raise ValueError(f"{where}: expected a positive {what}, found {shown(value)}")
     return float(number)
 

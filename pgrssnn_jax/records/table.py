@@ -65,8 +65,10 @@ def read_table(path: str | Path) -> Table:
         if times > 1:
             raise problem(path, lines[0], name, "every column name once", f"it {times} times")
     named = [i for i, name in enumerate(header) if name]
+    if not named:
+        raise problem(path, lines[0], None, "a header with column names", "a row without any")
     # A column that only its trailing comma announces may be left out of a row: it has no name, nothing reads it.
-    needed = named[-1] + 1 if named else 0
+    needed = named[-1] + 1
     for row, line in zip(rows, lines[1:], strict=True):
         if len(row) < needed:
             raise problem(path, line, header[len(row)] or None, f"{needed} cells", str(len(row)))

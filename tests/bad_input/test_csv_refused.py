@@ -77,6 +77,7 @@ BAD = {
     "a clock that is fast": (drifting(4.2), "line 3: column 'time': expected 4 s between samples", "found 4.2 s"),
     "an empty time": (rows(r3=",2,5"), "line 5: column 'time': expected a finite number, found an empty cell"),
     "a mask in words": (rows(header="mask,pump_voltage,level_voltage", r0="no,2,5"), "column 'mask': expected 0 or 1"),
+    "an empty row above": ("\n" + GOOD, "line 1: expected a header with column names, found a row without any"),
     "an empty file": ("", "line 1: expected a header with column names, found an empty file"),
     "the header alone": (HEADER, "line 1: expected samples below the header, found none"),
     "one row": ("\n".join([HEADER, ROWS[0]]), "line 2: expected at least 2 samples, found 1"),

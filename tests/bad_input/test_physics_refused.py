@@ -26,6 +26,10 @@ BUILT = {
     "a negative sample time": (lambda: own(dt=-1.0), "physics 'own': dt: expected a positive sample time"),
     "an endless sample time": (lambda: own(dt=np.inf), "physics 'own': dt: expected a positive sample time"),
     "no sub-step": (lambda: own(sub_steps=0), "physics: sub_steps: expected at least 1, found 0"),
+    "sub-steps without end": (
+        lambda: own(sub_steps=10**400),
+        "physics: sub_steps: expected at most 1000000, found 1000",
+    ),
     "half a sub-step": (lambda: own(sub_steps=1.5), "physics: sub_steps: expected a whole number of at least 1"),
     "an integrator that there is not": (lambda: own(integrator="bdf"), "integrator: expected one of ['euler', 'rk4'"),
     "no integrator": (lambda: own(integrator=None), "physics: integrator: expected one of"),
