@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, NamedTuple
 
 from pgrssnn_jax.models.spec import ModelSpec, variant_changes
-from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.arguments import call_with, check_count
 
 InitialStateKind = Literal["zero", "scaled_zero", "first_output", "estimated", "least_squares"]
 Guard = Literal["none", "rollback"]
@@ -88,8 +88,7 @@ class DataSettings:
 
     def __post_init__(self) -> None:
         for name, least in (("block", 1), ("lead", 0)):
-            if (value := getattr(self, name)) < least:
-                raise ValueError(f"data.{name}: expected at least {least} samples, found {value}")
+            check_count(f"data.{name}", getattr(self, name), least, 10**9, "samples")
 
 
 @dataclass(frozen=True)

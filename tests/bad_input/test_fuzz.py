@@ -111,7 +111,7 @@ def read_discovery(content: bytes) -> None:
         stored_physics(tanks(), read_stored(file, "physics.effects"), where="physics.effects")
 
 
-@settings(max_examples=100, **SHARED)
+@settings(max_examples=60, **SHARED)
 @given(
     content=st.one_of(mangled(json.dumps(FOUND).encode()), other_values(FOUND).map(lambda t: json.dumps(t).encode()))
 )
@@ -131,7 +131,7 @@ FILES = ["config.yaml", "physics.json", "metrics.json", "predictions.npz", "inte
 
 @pytest.mark.filterwarnings("ignore:.*the source of physics:UserWarning", "ignore:.*is now called:FutureWarning")
 @pytest.mark.filterwarnings("ignore:.*kept no copy of:UserWarning")
-@settings(max_examples=50, **SHARED)
+@settings(max_examples=30, **SHARED)
 @given(data=st.data())
 def test_a_mangled_run_folder_is_read_or_refused(good, data):
     name = data.draw(st.sampled_from(FILES))
