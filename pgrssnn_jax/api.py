@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import numpy as np
@@ -38,10 +38,12 @@ from pgrssnn_jax.effects.systems import add_effect as add
 from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
 from pgrssnn_jax.models.spec import ModelSpec, changes_of
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
+from pgrssnn_jax.physics.check import check_given
 from pgrssnn_jax.physics.simulate import free_run
-from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.arguments import call_with, check_kind, real_numbers, shown
 from pgrssnn_jax.records.build import record_from as record
 from pgrssnn_jax.records.csv import read_csv as _read_csv
+from pgrssnn_jax.records.matching import A_RECORD
 from pgrssnn_jax.records.record import Array, Record, Start
 from pgrssnn_jax.reports.discovered import Discovered
 from pgrssnn_jax.reports.ensemble import Ensemble
@@ -91,6 +93,10 @@ def fit(
     Members that leave the floating-point range do not raise: they are failed, counted and named. Raises `ValueError`
     for records that do not fit the physics and for settings that cannot be.
     """
+    check_given(physics)
+    _check_record("train", train)
+    if callback is not None and not callable(callback):
+        raise ValueError(f"callback: expected a function of a Progress, found {shown(callback)}")
     keep_compiled()
     given = {"seed": seed, "n_seeds": seeds, **settings}
     recipe = recipe or (None if train.info.benchmark else "auto")
@@ -152,9 +158,12 @@ def discover(
     realisation: which dataset of the records. The part that validates training belongs to the estimation record here.
     settings: any of `discovery/settings.py` by name. Raises `ValueError` for bad input, before any work.
     """
+    check_given(physics)
+    _check_record("train", train)
     keep_compiled()
     console = Console(quiet=quiet, highlight=False)
-    chosen = call_with(DiscoverySettings, {**settings, "without": list(without)}, "discovery")
+    names = list(without) if isinstance(without, tuple) else without
+    chosen = call_with(DiscoverySettings, {**settings, "without": names}, "discovery")
     training = _training("pg_rssnn", physics, train, None, {}, before=PROOF)
 
     def say(line: str) -> None:
@@ -212,6 +221,10 @@ def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") ->
 
     start: what is known of the initial state. Raises `ValueError` with file, line and column for a file that does not
     fit."""
+    check_given(physics)
+    check_kind("path", path, str | Path, "the name of a CSV file")
+    if start not in get_args(Start):
+        raise ValueError(f"start: expected one of {list(get_args(Start))}, found {start!r}")
     return _read_csv(path, channels(physics.inputs), channels(physics.outputs), physics.dt, start=start)
 
 
@@ -222,6 +235,7 @@ def load_arm_log(
 
     test: None takes the last third of `train`. settings: names, units and sides of the columns, the transmission and
     the filter, as in `data/arm_log.py`. Raises `ValueError` for files that do not hold what is named."""
+    check_given(physics)
     given = {"train": train, "test": test, **settings}
     return as_records(call_with(_load_arm_log, given, "load_arm_log", physics=physics))
 
@@ -230,18 +244,25 @@ def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
     """Free run of a physics alone in double precision: x_t = step(p, x_{t-1}, u_t), y_t = measure(p, x_t, u_t).
 
     u `[time, input]` or `[sequence, time, input]`, x0 `[state]` or `[sequence, state]`. A state that leaves the
-    floating-point range does not raise: `first_bad` says where. Raises `ValueError` for other shapes."""
-    u, n_u, n_x = np.asarray(u, np.float64), len(physics.inputs), len(physics.states)
-    if u.ndim not in (2, 3) or u.shape[-1] != n_u:
+    floating-point range does not raise: `first_bad` says where. Raises `ValueError` for other shapes, for what is no
+    number, and for a physics whose functions do not return what its signals say."""
+    check_given(physics)
+    n_u, n_x = len(physics.inputs), len(physics.states)
+    u, x0 = (real_numbers(f"simulate: {name}", a).astype(np.float64) for name, a in (("u", u), ("x0", x0)))
+    if u.ndim not in (2, 3) or u.shape[-1] != n_u or not u.size:
         raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {u.shape}")
     sequences = u if u.ndim == 3 else u[None]
-    if np.shape(x0) not in ((n_x,), (len(sequences), n_x)):
-        raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({len(sequences)}, {n_x}), found {np.shape(x0)}")
+    if x0.shape not in ((n_x,), (len(sequences), n_x)):
+        raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({len(sequences)}, {n_x}), found {x0.shape}")
     with jax.enable_x64(True):
-        start = np.broadcast_to(np.asarray(x0, np.float64), (len(sequences), n_x))
+        start = np.broadcast_to(x0, (len(sequences), n_x))
         y, x = free_run(physics, sequences, start)
         found = Trajectory(*map(np.asarray, (y, x, first_not_finite(x, y))))
     return found if u.ndim == 3 else Trajectory(*(a[0] for a in found))
+
+
+def _check_record(name: str, given: Any) -> None:
+    check_kind(f"data: {name}", given, Record, A_RECORD)
 
 
 def _training(
@@ -253,6 +274,7 @@ def _training(
     before: Mapping[str, Any] | None = None,
 ) -> TrainingSettings:
     """Defaults, `before`, the recipe's settings and those that were given (None: not), in this order."""
+    check_kind("model", model, str | ModelSpec, "the name of a model or a pg.ModelSpec")
     if recipe not in (None, "auto", "experiment", "default"):
         raise ValueError(f"recipe: expected 'auto', 'experiment', 'default' or None, found {recipe!r}")
     if recipe == "experiment" and not train.info.benchmark:

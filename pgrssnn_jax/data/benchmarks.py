@@ -85,7 +85,7 @@ def load_benchmark(name: str, **settings: Any) -> tuple[Record, Record]:
     the loader (`path`, `n_train`, `realisations`, `seed`, ...). Raises `ValueError` for an unknown name or setting, and
     for files that do not hold the benchmark.
     """
-    if name not in LOADERS or name in _FILES:
+    if not isinstance(name, str) or name not in LOADERS or name in _FILES:
         raise ValueError(f"load_benchmark: expected one of {sorted(set(LOADERS) - _FILES)}, found {name!r}")
     train, test = as_records(call_with(LOADERS[name], settings, "load_benchmark", notify=print))
     print(f"{name}: {train.info.source}: {train.info.origin}")  # noqa: T201 - the one line that a user must see

@@ -1,6 +1,6 @@
 """Files of logs: columns of a CSV file, or arrays of an NPZ file, by the names that a configuration gives them."""
 
-import zipfile
+import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pgrssnn_jax.data.resample import Log
+from pgrssnn_jax.records.arguments import real_numbers
 from pgrssnn_jax.records.table import Table, fingerprint, numbers, read_table
 
+_LONGEST = 100  # characters of somebody else's message
 Names = str | Sequence[str]
 
 
@@ -59,10 +61,14 @@ def _from_npz(path: str | Path, columns: Columns, n: int) -> tuple[str, list[Log
     file = Path(path).expanduser()
     try:
         content = file.read_bytes()
-        with np.load(file, allow_pickle=False) as found:
-            arrays = {name: np.asarray(found[name], np.float64) for name in _used(columns, found.files, n)}
-    except (OSError, zipfile.BadZipFile, ValueError) as problem:
-        raise ValueError(f"{path}: expected a readable NPZ file, found {str(problem).splitlines()[0]}") from None
+        with np.load(io.BytesIO(content), allow_pickle=False) as found:
+            there = {name: found[name] for name in _used(columns, found.files, n)}
+    except Exception as problem:  # NumPy and zlib raise whatever a damaged file leads them to
+        reason = f"{problem}".strip() or type(problem).__name__
+        raise ValueError(f"{path}: expected a readable NPZ file, found {reason.splitlines()[0][:_LONGEST]}") from None
+    arrays = {
+        name: real_numbers(f"{path}: array {name!r}", values).astype(np.float64) for name, values in there.items()
+    }
 
     def array(name: str) -> np.ndarray:
         if name not in arrays:

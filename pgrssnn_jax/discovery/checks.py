@@ -11,6 +11,11 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.simulate import free_run
+
+_LARGEST = float(np.finfo(np.float32).max)  # networks are trained in this precision
+_SHORTER, _MOST = (10, 100), 10_000  # times as many sub-steps, and how many at most
 
 
 def check_physics(setup: Setup) -> None:
@@ -20,20 +25,46 @@ def check_physics(setup: Setup) -> None:
         problem = build_problem(setup.physics, ())
         record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
         signals = record.signals(problem, 0)
-        _, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
-        _check_free_run(problem, x[0])
+        y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
+        _check_free_run(problem, signals, y[0], x[0])
         origin = setup.physics.origin
         if origin is None or not origin.target.startswith("pgrssnn_jax."):
             _check_derivatives(problem, signals, x[0])
 
 
-def _check_free_run(problem: Problem, x: Float[np.ndarray, "seq time x"]) -> None:
-    finite = np.isfinite(x).all((0, 2))
-    if not finite.all():
+def _check_free_run(
+    problem: Problem, signals: Signals, y: Float[np.ndarray, "seq time y"], x: Float[np.ndarray, "seq time x"]
+) -> None:
+    physics = problem.physics
+    for what, named, values in (("state", problem.full.states, x), ("output", physics.outputs, y)):
+        usable = np.abs(values) < _LARGEST  # False for NaN
+        finite = usable.all((0, 2))
+        if finite.all():
+            continue
+        first = int(np.argmin(finite))
+        name = named[int(np.argmin(usable[:, first].all(0)))].name
+        hint = _of_shorter_steps(physics, signals) if what == "state" and first else ""
         raise ValueError(
-            f"physics {problem.physics.name!r}: expected a free run that stays finite over the record, found states "
-            f"beyond the floating-point range from sample {int(np.argmin(finite))} on"
+            f"physics {physics.name!r}: expected a free run that stays finite over the record, found {what} {name!r} "
+            f"beyond the floating-point range from sample {first} on{hint}"
         )
+
+
+def _of_shorter_steps(physics: Physics, signals: Signals) -> str:
+    """Do they help? Explicit integrators of a stiff system need them."""
+    steps, known = physics.settings.get("sub_steps"), physics.settings.get("integrator")
+    if steps is None:
+        return f" (a step of dt={physics.dt:g} s may be too long for this system: the step function may divide it)"
+    method = known if isinstance(known, str) else "this integrator"
+    tried = [more * steps for more in _SHORTER if more * steps <= _MOST]
+    for shorter in tried:
+        _, x = free_run(physics.variant(sub_steps=shorter), signals.u, signals.start)
+        if (np.abs(np.asarray(x)) < _LARGEST).all():
+            return (
+                f" (its step of {physics.dt / steps:g} s is too long for {method}, as it is where a system is stiff: "
+                f"sub_steps={shorter} in place of {steps} keeps the run finite)"
+            )
+    return f" (shorter steps of {method}, up to sub_steps={tried[-1]}, do not help)" if tried else ""
 
 
 def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:

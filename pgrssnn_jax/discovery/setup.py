@@ -19,6 +19,7 @@ from pgrssnn_jax.records.splits import by_dataset, estimation_parts
 from pgrssnn_jax.training.plan import check_range
 from pgrssnn_jax.training.settings import TrainingSettings
 
+_LARGEST = 1e18  # whose square is still a float32, in which networks are trained
 _ARM_STRETCHES = (60, 300)  # samples: while nothing is known, and beside the first effect
 _LEAST_BLOCKS = 4  # per fold
 _SHORTEST_BLOCK = 8  # samples: of shorter ones the neighbours say what is in them
@@ -81,8 +82,8 @@ def set_up(
     parts = estimation_parts(matched(train, *signals, where="data: train"), validation)
     records = [*parts, by_dataset(matched(test, *signals, where="data: test"))]
     count = len(parts[0].u)
-    if not 0 <= realisation < count:
-        raise ValueError(f"realisation: expected 0 to {count - 1}, found {realisation}")
+    if not isinstance(realisation, int) or not 0 <= realisation < count:
+        raise ValueError(f"realisation: expected 0 to {count - 1}, found {realisation!r}")
     if count > 1:
         notify(f"discovery looks at realisation {realisation} of {count}")
     one, aside, tested = (take(record, min(realisation, len(record.u) - 1)) for record in records)
@@ -147,14 +148,27 @@ def _block(settings: DiscoverySettings, estimation: Record) -> int:
 
 def _check(physics: Physics, estimation: Record, test: Record, settings: DiscoverySettings, start: Start) -> None:
     for name, record in (("train", estimation), ("test", test)):
+        still = []
         for kind, channels in (("u", physics.inputs), ("y", physics.outputs)):
             values, mask = np.asarray(getattr(record, kind)), np.asarray(record.mask)
             for k, signal in enumerate(channels):
                 counted = values[..., k][mask[..., k]] if kind == "y" else values[..., k]
                 check_range(f"data: {name}", signal, counted)
-                if name == "train" and not (counted.size and counted.max() > counted.min()):
-                    found = f"{counted.flat[0]:g} {signal.unit}".rstrip() if counted.size else "no measured sample"
-                    raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
+                if not counted.size and name == "test" and mask.any():
+                    continue  # other outputs were measured there
+                if not counted.size:
+                    expected = "at least one measured sample"
+                    raise ValueError(f"data: {name}: {signal.name}: expected {expected}, found no measured sample")
+                if (largest := np.abs(counted).max()) > _LARGEST:
+                    raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
+                if counted.max() == counted.min():
+                    still.append((kind, signal, counted.flat[0]))
+        # Of several inputs one may stand still, a valve say: the others tell what the physics lacks.
+        moved = len(physics.inputs) > sum(kind == "u" for kind, _, _ in still)
+        for kind, signal, value in still if name == "train" else ():
+            if kind == "y" or not moved:
+                found = f"{value:g} {signal.unit}".rstrip()
+                raise ValueError(f"data: train: {signal.name}: expected a signal that varies, found only {found}")
     for length in settings.stretches:
         check_stretches(estimation, length)
     draws = min(settings.draws, DRAWS) if settings.stretches else settings.draws

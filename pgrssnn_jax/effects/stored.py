@@ -8,6 +8,7 @@ import hashlib
 import inspect
 import json
 import math
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 from pgrssnn_jax.effects.base import Effect, WithEffects, effects_of, own_of
 from pgrssnn_jax.effects.systems import add_named, in_catalogue_order
 from pgrssnn_jax.physics.base import Physics, Signal
+from pgrssnn_jax.records.arguments import shown
 
 OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is
 _KEYS = ("system", "physics", "numbers", "initial_state")
@@ -65,10 +67,15 @@ def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, e
     kept = {name: _like(there[name], effects[name], where, name) for name in there if name in effects}
     base = base._replace(params=WithEffects(own, kept) if there else own)
     order = stored["numbers"].get("order") or list(effects)
+    if not isinstance(order, list) or any(name not in list(effects) for name in order):
+        raise ValueError(f"{where}: numbers.order: expected names among {list(effects)}, found {shown(order)}")
     if "verdict" in stored and "order" not in stored["numbers"]:  # files of before list effects as they were found
         order = in_catalogue_order(base, effects)
     found = add_named(base, {name: effects[name] for name in order if name not in there}, extra)
     start = stored["initial_state"] or {}
+    for name, value in start.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+            raise ValueError(f"{where}: initial_state: {name}: expected a finite number, found {shown(value)}")
     states = tuple(s._replace(start=start[s.name]) if s.name in start else s for s in found.states)
     return found._replace(states=states, discovered=bool(stored.get("discovered", "verdict" in stored)))
 
@@ -77,8 +84,9 @@ def read_stored(path: Path, where: str) -> dict[str, Any]:
     """A `discovery.json` or `physics.json`; where: the setting that names it. Raises `ValueError` when it is none."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as problem:
-        raise ValueError(f"{where}: expected a discovery.json, found {str(path)!r} ({problem})") from problem
+    except (OSError, ValueError, RecursionError) as problem:
+        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        raise ValueError(f"{where}: expected a discovery.json, found {str(path)!r} ({reason})") from problem
     check_keys(found, f"{where}: {path}")
     return found
 
@@ -88,9 +96,10 @@ def check_keys(found: Any, where: str) -> None:
     missing = [key for key in _KEYS if not isinstance(found, dict) or key not in found]
     if missing:
         raise ValueError(f"{where}: expected the key {missing[0]!r} of a stored physics, found none")
-    for key, inner in (("physics", ()), ("numbers", ("parameters", "effects"))):
+    found = {**found, "initial_state": found["initial_state"] or {}}  # null: nothing is known
+    for key, inner in (("physics", ()), ("numbers", ("parameters", "effects")), ("initial_state", ())):
         if not isinstance(found[key], dict) or any(not isinstance(found[key].get(name), dict) for name in inner):
-            raise ValueError(f"{where}: {key}: expected a group of named values, found {found[key]!r}")
+            raise ValueError(f"{where}: {key}: expected a group of named values, found {shown(found[key])}")
 
 
 def source_digest(physics: Physics) -> str | None:
@@ -143,8 +152,8 @@ def _shaped(like: Any, value: Any, where: str, name: str) -> np.ndarray:
         given = np.asarray(value, object)
         absent = np.reshape([number is None for number in given.flat], given.shape)
         found = np.where(absent, like, given).astype(np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = np.empty(0)
     if found.shape != np.shape(like) or np.isnan(found).any():
-        raise ValueError(f"{where}: {name}: expected numbers of shape {np.shape(like)}, found {value!r}")
+        raise ValueError(f"{where}: {name}: expected numbers of shape {np.shape(like)}, found {shown(value)}")
     return found

@@ -7,12 +7,14 @@ import numpy as np
 
 from pgrssnn_jax.effects.arm import arm_effects
 from pgrssnn_jax.effects.arm_common import points_of
-from pgrssnn_jax.effects.base import Effect, Numbers, add, effects_of, own_of
+from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, add, effects_of, own_of
 from pgrssnn_jax.effects.generic import generic_effects
 from pgrssnn_jax.effects.lgssm import lgssm_effects
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.check import check_given
+from pgrssnn_jax.records.arguments import check_kind, shown
 
 _PARAMETERS = {"lgssm": {"A", "B", "C"}, "tanks": {"k1", "k2", "k3", "k4", "k5"}}
 _SAID_OTHERWISE = {"tanks": ("input_saturation", "input_dead_zone")}  # a pump has names of its own for these
@@ -32,10 +34,15 @@ def catalogue(physics: Physics, without: Sequence[str] = (), extra: Sequence[Eff
         if name not in known:
             raise ValueError(f"effects: expected some of {known} of physics {physics.name!r}, found {name!r}")
     found = [effect for effect in found if effect.name not in without]
+    if isinstance(extra, Effect | str) or not isinstance(extra, Sequence):
+        raise ValueError(f"effects: expected a list of pg.Effect, found {shown(extra)}")
     for effect in extra:
+        check_kind("effects", effect, Effect, "a list of pg.Effect")
         if effect.name in (other.name for other in found):
             raise ValueError(f"effects: expected extra effects with names of their own, found another {effect.name!r}")
-        add(physics, effect)  # raises for what the physics cannot take
+        _added(physics, effect)  # raises for what the physics cannot take
+        if effect.initial_guesses is None:
+            effect.guesses(SignalRange(*[np.zeros((2, 1))] * 3))  # raises where none can be made up
         found.append(effect)
     return tuple(found)
 
@@ -64,9 +71,29 @@ def add_effect(physics: Physics, effect: Effect | str, /, **numbers: Any) -> Phy
     not given, is neutral. Raises `ValueError` for an unknown name, an effect that the physics cannot take or already
     has, and for numbers that are not the effect's.
     """
+    check_given(physics)
     if isinstance(effect, str):
         return add_named(physics, {effect: numbers})
+    check_kind("effects", effect, Effect, "the name of an effect or a pg.Effect")
+    _added(physics, effect)
     return add_named(physics, {effect.name: numbers}, [effect])
+
+
+def _added(physics: Physics, effect: Effect) -> Physics:
+    """With an effect of the user's own. Raises `ValueError` where it does not make a physics of it."""
+    where = f"effects: {effect.name}"
+    if not callable(effect.wrap):
+        raise ValueError(f"{where}: wrap: expected a function of a Physics, found {shown(effect.wrap)}")
+    try:
+        found = add(physics, effect)
+        check_given(found._replace(origin=None))
+    except ValueError as problem:
+        said = str(problem)
+        raise ValueError(said if said.startswith("effects: ") else f"{where}: {said}") from None
+    except Exception as problem:  # whatever a user's function does
+        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        raise ValueError(f"{where}: wrap: expected it to return a Physics, found {reason}") from problem
+    return found
 
 
 def add_named(physics: Physics, numbers: Mapping[str, Numbers], extra: Sequence[Effect] = ()) -> Physics:
@@ -91,6 +118,7 @@ def in_catalogue_order(physics: Physics, names: Iterable[str]) -> list[str]:
 def _numbers(effect: Effect, given: Numbers) -> dict[str, Any]:
     """Numbers as a JSON file or a user gives them: None stands for neutral (a limit that is not there), one number for
     those of all channels."""
+    check_kind(f"effects: {effect.name}", given, Mapping, f"numbers by their names, {sorted(effect.parameters)}")
     neutral = effect.neutral()
 
     def one(name: str, value: Any) -> np.ndarray:
@@ -100,7 +128,7 @@ def _numbers(effect: Effect, given: Numbers) -> dict[str, Any]:
             found = np.where(absent, missing, found)
         try:
             return found.astype(np.float64)
-        except (TypeError, ValueError) as problem:
+        except (TypeError, ValueError, OverflowError) as problem:
             raise ValueError(f"effects: {effect.name}.{name}: expected numbers, found {value!r}") from problem
 
     return {name: one(name, value) for name, value in given.items()}

@@ -78,7 +78,9 @@ def build_model(spec: ModelSpec, physics: Physics) -> Model:
         )
     if spec.features == "radial" and spec.recurrent:
         raise ValueError("model: recurrent: expected false with features=radial, which has no GRU, found true")
-    if not spec.regularisation >= 0:
+    if not np.isfinite(spec.correction):
+        raise ValueError(f"model: correction: expected a finite number, found {spec.correction}")
+    if not 0 <= spec.regularisation < np.inf:
         raise ValueError(f"model: regularisation: expected 0 or more, found {spec.regularisation}")
     if spec.regularisation and (spec.recurrent or not spec.feedback):
         raise ValueError(

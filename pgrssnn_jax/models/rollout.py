@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from pgrssnn_jax.models.gru import delayed
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.models.networks import Networks
+from pgrssnn_jax.records.arguments import check_kind
 from pgrssnn_jax.records.record import Array
 
 Route = Literal["fused", "split"]
@@ -43,15 +44,19 @@ def rollout(
     The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
     leaves the floating-point range does not raise; it is reported in `first_bad`. valid (`records.valid_mask`): where
     it is False the state is held, so that padding can neither fail nor spoil a gradient. Raises `ValueError` for an
-    unknown route, and if `split` is asked of a model with feedback.
+    unknown route, if `split` is asked of a model with feedback, and for shapes that are not those of the model.
     """
     if route not in (None, "fused", "split"):
         raise ValueError(f"rollout: route: expected 'fused', 'split' or None, found {route!r}")
     if route == "split" and model.spec.feedback:
         raise ValueError("rollout: route: expected 'fused' for a model with state feedback, found 'split'")
+    check_kind("rollout: model", model, Model, "a model, ensemble.model say")
+    u, x0 = jnp.asarray(u), jnp.asarray(x0)
+    x0 = x0 if jnp.issubdtype(x0.dtype, jnp.floating) else x0.astype(jnp.float32)
+    _check_shapes(model, u, x0, valid)
     networks = model.networks(params)
     params = params._replace(physics=jax.tree.map(lambda p: jnp.asarray(p, x0.dtype), params.physics))
-    u_time, x0 = jnp.swapaxes(jnp.asarray(u), 0, 1), jnp.asarray(x0)
+    u_time = jnp.swapaxes(u, 0, 1)
     fused = route == "fused" or model.spec.feedback
     held = None if valid is None else ~jnp.swapaxes(jnp.asarray(valid), 0, 1)
     x_time = (_fused if fused else _split)(model, params, networks, u_time, x0, held)
@@ -59,6 +64,18 @@ def rollout(
     y_time = _measure(model, params, networks, read, u_time)
     x, y = jnp.swapaxes(x_time, 0, 1), jnp.swapaxes(y_time, 0, 1)
     return Trajectory(y, x, first_not_finite(x, y))
+
+
+def _check_shapes(model: Model, u: jax.Array, x0: jax.Array, valid: Array | None) -> None:
+    n_u, n_x = len(model.physics.inputs), model.n_x
+    if u.ndim != 3 or u.shape[-1] != n_u or not u.size:
+        raise ValueError(f"rollout: u: expected [sequence, time, {n_u}], found shape {u.shape}")
+    for name, shape, found in (
+        ("x0", (len(u), n_x), x0.shape),
+        ("valid", u.shape[:2], u.shape[:2] if valid is None else valid.shape),
+    ):
+        if found != shape:
+            raise ValueError(f"rollout: {name}: expected shape {shape}, found {found}")
 
 
 def first_not_finite(x: Float[Array, "seq time x"], y: Float[Array, "seq time y"]) -> Int[jax.Array, " seq"]:

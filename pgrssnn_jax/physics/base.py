@@ -19,49 +19,14 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.integrate import DerivativePoints, Integrator, derivative_points, held
+from pgrssnn_jax.physics.signals import Parameter, Signal, check_number, checked_signals, is_parameter
+from pgrssnn_jax.records.arguments import check_kind, positive, shown
 
 Params = Any
 OutputTiming = Literal["after_step", "before_step"]
 Step = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " x"]]
 Skeleton = Callable[[Float[np.ndarray, "*batch y"]], Float[np.ndarray, "*batch points 3"]]
 Measure = Callable[[Params, Float[jax.Array, " x"], Float[jax.Array, " u"]], Float[jax.Array, " y"]]
-
-
-class Parameter(NamedTuple):
-    """What one number of `Physics.params` means.
-
-    bounds: closed interval that fitting respects; neutral: the value at which the term has no influence
-    (None if there is none); trainable: may fitting change it?
-    """
-
-    symbol: str = ""
-    unit: str = ""
-    bounds: tuple[float, float] = (-float("inf"), float("inf"))
-    neutral: float | None = None
-    trainable: bool = True
-
-
-class Signal(NamedTuple):
-    """One state, input or output.
-
-    A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
-    output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
-    by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
-    first value at the start; of a state, what that has done: zero at the start, scaled by a simulation. range: beyond
-    it a value must be in another unit (degrees for rad); data are checked against it. start: its value at the start of
-    a record, where it is known. fit_initial: a memory that lasts, whose start a fit must find like that of a state of
-    the physics. inner: of a state that networks neither see nor correct: a covariance, say.
-    """
-
-    name: str
-    unit: str = ""
-    like: str | None = None
-    rate_of: str | None = None
-    range: tuple[float, float] = (-float("inf"), float("inf"))
-    memory_of: str | None = None
-    start: float | None = None
-    fit_initial: bool = False
-    inner: bool = False
 
 
 class Origin(NamedTuple):
@@ -170,10 +135,6 @@ def remembered(build: Callable[Settings, Physics]) -> Callable[Settings, Physics
     return built
 
 
-def is_parameter(leaf: object) -> bool:
-    return isinstance(leaf, Parameter)
-
-
 def extended(physics: Physics, points: Any, assemble: Callable[[Any], tuple[Step, Measure]]) -> Physics:
     """The physics whose step and measurement are assembled from extension points."""
     made = assemble(points)
@@ -215,11 +176,22 @@ def discrete(
     """A `Physics` from x_t = step(params, x_{t-1}, u_t). reads: the old spelling of `output_timing`.
 
     Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
-    output (or is the rate of an output or state) that does not exist, or when `dt` is not positive.
+    output (or is the rate of an output or state) that does not exist, for names that are there twice, for what is no
+    number, no function or no `Signal`, or when `dt` is not positive.
     """
     if reads is not None:
         warnings.warn("physics: 'reads' is now called 'output_timing'", FutureWarning, stacklevel=2)
         output_timing = cast(OutputTiming, reads)
+    check_kind("physics: name", name, str, "text")
+    dt = positive(f"physics {name!r}: dt", dt, "sample time in seconds")
+    for what, function in (("step", step), ("measure", measure), ("skeleton", skeleton or len)):
+        if not callable(function):
+            raise ValueError(f"physics {name!r}: {what}: expected a function, found {shown(function)}")
+    named = (("states", states), ("inputs", inputs), ("outputs", outputs))
+    states, inputs, outputs = (checked_signals(f"physics {name!r}: {what}", given) for what, given in named)
+    check_kind(f"physics {name!r}: params", params, Mapping, "numbers by their names, {'gain': 2.0} say")
+    if absent := [key for key, value in params.items() if value is None]:
+        raise ValueError(f"physics {name!r}: {absent[0]}: expected a number, found None")
     meanings = jax.tree.map(lambda _: Parameter(), params) if parameters is None else parameters
     found = jax.tree.structure(meanings, is_leaf=is_parameter)
     if found != jax.tree.structure(params):
@@ -230,10 +202,8 @@ def discrete(
     for (path, value), leaf in zip(jax.tree_util.tree_leaves_with_path(params), leaves, strict=True):
         if not is_parameter(leaf):
             raise ValueError(f"physics {name!r}: parameters: expected a Parameter per number, found {leaf!r}")
-        low, high = leaf.bounds
-        if not np.all((np.asarray(value) >= low) & (np.asarray(value) <= high)):
-            key = jax.tree_util.keystr(path, simple=True, separator=".")
-            raise ValueError(f"physics {name!r}: {key}: expected {low:g} to {high:g} {leaf.unit}, found {value}")
+        key = jax.tree_util.keystr(path, simple=True, separator=".")
+        check_number(f"physics {name!r}: {key}", value, leaf)
     if output_timing not in ("after_step", "before_step"):
         raise ValueError(
             f"physics {name!r}: output_timing: expected after_step or before_step, found {output_timing!r}"
@@ -241,13 +211,14 @@ def discrete(
     measured = {signal.name for signal in outputs}
     for state in states:
         others = measured | {signal.name for signal in states if signal is not state}
-        for kind, other, known in (("like", state.like, measured), ("rate_of", state.rate_of, others)):
+        driven = {signal.name for signal in (*inputs, *states) if signal is not state}
+        kinds = (("like", measured), ("rate_of", others), ("memory_of", driven))
+        for kind, known in kinds:
+            other = getattr(state, kind)
             if other is not None and other not in known:
                 raise ValueError(
                     f"physics {name!r}: state {state.name!r}: expected {kind} one of {sorted(known)}, found {other!r}"
                 )
-    if not dt > 0:
-        raise ValueError(f"physics {name!r}: dt: expected a positive sample time in seconds, found {dt}")
     return Physics(
         name,
         step,
@@ -257,7 +228,7 @@ def discrete(
         states,
         inputs,
         outputs,
-        float(dt),
+        dt,
         output_timing,
         skeleton,
         remark,
@@ -282,7 +253,11 @@ def continuous(
     per sample. The other arguments are those of `discrete`. Its extension points are `DerivativePoints`.
     """
 
+    dt = positive(f"physics {name!r}: dt", dt, "sample time in seconds")
+
     def build(integrator: Integrator | str, sub_steps: int) -> Physics:
+        if not callable(derivative):
+            raise ValueError(f"physics {name!r}: derivative: expected a function, found {shown(derivative)}")
         points = derivative_points(derivative, measure, dt=dt, integrator=integrator, sub_steps=sub_steps)
         physics = discrete(name, *assemble(points), params, dt=dt, **signals)._replace(
             origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps}, source=derivative)

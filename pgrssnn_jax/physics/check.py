@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.arguments import shown
 
 
 def check_physics(physics: Any, where: str) -> None:
@@ -16,6 +17,21 @@ def check_physics(physics: Any, where: str) -> None:
     """
     if not isinstance(physics, Physics):
         raise ValueError(f"physics: {where}: expected it to return a Physics, found {type(physics).__name__}")
+    check_functions(physics)
+
+
+def check_given(physics: Any) -> None:
+    """Raises `ValueError` for what a caller gives as a physics and is none, and as `check_functions` for one that is
+    not of the library, whose functions return what they should."""
+    if not isinstance(physics, Physics):
+        hint = ", which it returns when it is called" if callable(physics) else ""
+        raise ValueError(f"physics: expected a pg.Physics{hint}, found {shown(physics)}")
+    if physics.origin is None or not physics.origin.target.startswith("pgrssnn_jax."):
+        check_functions(physics)
+
+
+def check_functions(physics: Physics) -> None:
+    """Raises `ValueError` unless step and measurement can be traced and return what the signals say."""
     sizes = {name: len(getattr(physics, name)) for name in ("states", "inputs", "outputs")}
     x, u = (jax.ShapeDtypeStruct((sizes[name],), jnp.float32) for name in ("states", "inputs"))
     params = jax.tree.map(lambda p: jax.ShapeDtypeStruct(np.shape(p), jnp.float32), physics.params)
@@ -23,14 +39,16 @@ def check_physics(physics: Any, where: str) -> None:
         try:
             found = jax.eval_shape(getattr(physics, name), params, x, u)
         except Exception as problem:
-            reason = str(problem).splitlines()[0]
+            reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
             raise ValueError(
                 f"physics {physics.name!r}: {name}: expected it to compute with jax.numpy from params, "
-                f"x [{sizes['states']}] and u [{sizes['inputs']}], found {type(problem).__name__}: {reason}"
+                f"x [{sizes['states']}] and u [{sizes['inputs']}], found {reason}"
             ) from problem
-        shape = getattr(found, "shape", found)
+        shape = getattr(found, "shape", type(found).__name__)
         if shape != (expected,):
             raise ValueError(f"physics {physics.name!r}: {name}: expected shape {(expected,)}, found {shape}")
+        if not jnp.issubdtype(found.dtype, jnp.floating):
+            raise ValueError(f"physics {physics.name!r}: {name}: expected floating-point numbers, found {found.dtype}")
     if physics.skeleton is not None:
         shape = np.shape(physics.skeleton(np.zeros((1, sizes["outputs"]))))
         if len(shape) != 3 or shape[0] != 1 or shape[1] < 2 or shape[2] != 3:

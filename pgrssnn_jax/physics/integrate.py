@@ -15,6 +15,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from pgrssnn_jax.records.arguments import positive, shown
+
+_MOST = 10**6  # sub-steps of a sample: more take minutes
 State = Float[jax.Array, " x"]
 Derivative = Callable[[Any, State, Float[jax.Array, " u"]], State]
 Integrator = Callable[[Callable[[State], State], State, float], State]
@@ -65,9 +68,9 @@ INTEGRATORS: dict[str, Integrator] = {
 
 def named(integrator: Integrator | str) -> Integrator:
     """Raises `ValueError` for an unknown name."""
-    if not isinstance(integrator, str):
+    if callable(integrator):
         return integrator
-    if integrator not in INTEGRATORS:
+    if not isinstance(integrator, str) or integrator not in INTEGRATORS:
         raise ValueError(f"physics: integrator: expected one of {sorted(INTEGRATORS)}, found {integrator!r}")
     return INTEGRATORS[integrator]
 
@@ -109,9 +112,13 @@ def derivative_points(
 
     Raises `ValueError` for an unknown integrator or fewer than one sub-step."""
     one = named(integrator)
+    if not isinstance(sub_steps, int):
+        raise ValueError(f"physics: sub_steps: expected a whole number of at least 1, found {sub_steps!r}")
     if sub_steps < 1:
         raise ValueError(f"physics: sub_steps: expected at least 1, found {sub_steps}")
-    h = dt / sub_steps
+    if sub_steps > _MOST:
+        raise ValueError(f"physics: sub_steps: expected at most {_MOST}, found {shown(sub_steps)}")
+    h = positive("physics: dt", dt, "sample time in seconds") / sub_steps
     return DerivativePoints(derivative, lambda p, field, x, u: one(field, x, h), measure, h, sub_steps)
 
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous, remembered
+from pgrssnn_jax.records.arguments import check_kind
 
 _MEANINGS = {
     "k1": Parameter("k1", "sqrt(V)/s", bounds=(0.0, 1.0)),
@@ -62,6 +63,7 @@ def cascaded_tanks(
     dt: s. clamp: after each step limit both levels to 0 .. 10 V (`clamped`).
     Raises `ValueError` for an unknown integrator, sub_steps < 1 or dt ≤ 0.
     """
+    check_kind("physics 'tanks': clamp", clamp, bool, "True or False")
     physics = continuous(
         "tanks",
         derivative,

@@ -1,12 +1,18 @@
-"""Calling a function with a group of the composed configuration, with one sentence for what does not fit."""
+"""What enters from outside, with one sentence for what does not fit: the arguments of a function as a group of the
+composed configuration, single values, arrays of numbers."""
 
 import inspect
+import math
+import sys
 import types
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 T = TypeVar("T")
+_LONGEST = 80  # characters of a value shown in a message
 
 
 def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, **more: Any) -> T:
@@ -35,10 +41,11 @@ def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, 
 
 
 def _checked(value: Any, hint: Any, where: str) -> Any:
+    value = value.item() if isinstance(value, np.generic) else value  # NumPy's numbers are numbers
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     if any(_accepts(option, value) for option in options):
         return float(value) if float in options and isinstance(value, int) and int not in options else value
-    raise ValueError(f"{where}: expected {_named(options)}, found {value!r}")
+    raise ValueError(f"{where}: expected {_named(options)}, found {shown(value)}")
 
 
 def _accepts(option: Any, value: Any) -> bool:
@@ -67,3 +74,47 @@ def check_count(name: str, value: int, least: int, most: int, what: str) -> None
     if not least <= value <= most:
         expected = f"between {least} and {most} {what}" if most >= least else f"at least {least} {what} to choose from"
         raise ValueError(f"{name}: expected {expected}, found {value}")
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it: on one line, and short; of an array its shape, of what is no data its type."""
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"an array of shape {value.shape} and type {value.dtype}"
+    plain = isinstance(value, bool | int | float | complex | str | bytes | Path | np.ndarray | np.generic)
+    if value is not None and not plain and type(value) not in (list, tuple, set, dict):
+        return type(value).__name__
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _LONGEST else text[:_LONGEST] + "…"
+
+
+def check_kind(where: str, value: Any, kind: Any, expected: str) -> None:
+    """Raises `ValueError` unless value is an instance; expected: in words."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{where}: expected {expected}, found {shown(value)}")
+
+
+def positive(where: str, value: Any, what: str) -> float:
+    """A finite number above 0; what: in words. Raises `ValueError` for anything else."""
+    number = value if isinstance(value, int | float | np.number) and not isinstance(value, bool) else math.nan
+    if isinstance(number, complex | np.complexfloating) or not 0 < number <= sys.float_info.max:
+        raise ValueError(f"{where}: expected a positive {what}, found {shown(value)}")
+    return float(number)
+
+
+def real_numbers(where: str, value: Any) -> np.ndarray:
+    """An array of real numbers in float64, of truth values as they are. Raises `ValueError` for rows of unequal length,
+    for complex numbers, for dates, and for what is no number."""
+    try:
+        found = np.asarray(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{where}: expected an array of numbers, found rows of unequal length") from None
+    if found.dtype.kind not in "biuf":
+        raise ValueError(f"{where}: expected real numbers, found {_of_kind(found)}")
+    return found if found.dtype == bool else found.astype(np.float64, copy=False)
+
+
+def _of_kind(found: np.ndarray) -> str:
+    """What an array that holds no real numbers holds."""
+    kinds = {"U": "text", "S": "text", "T": "text", "c": "complex numbers", "M": "dates", "m": "times"}
+    odd = next((one for one in found.flat if not isinstance(one, int | float)), None)
+    return kinds.get(found.dtype.kind) or shown(odd)

@@ -5,6 +5,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from pgrssnn_jax.records.arguments import check_kind, positive, real_numbers, shown
 from pgrssnn_jax.records.record import Array, Channel, Record, RecordInfo, Start, padded, record
 
 
@@ -23,16 +24,20 @@ def record_from(
     u `[time, input]` or `[sequence, time, input]`, or a list of sequences `[time, input]` of any length; y likewise.
     inputs, outputs: name and unit of every channel, in the order of the columns. NaN in y, or False in mask (the shape
     of y), stands for a sample that was not measured. start: what is known of the initial state: `unknown`, `rest`, that
-    is zero, or `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for a value
-    of u that is not finite, and for a dt that is not positive.
+    is zero, or `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for what is
+    no real number, for a value of u that is not finite, and for a dt that is not positive.
     """
-    if not dt > 0:
-        raise ValueError(f"record: dt: expected a positive sample time in seconds, found {dt}")
+    dt = positive("record: dt", dt, "sample time in seconds")
     if start not in get_args(Start):
         raise ValueError(f"record: start: expected one of {list(get_args(Start))}, found {start!r}")
     for name, named in (("inputs", inputs), ("outputs", outputs)):
         if not isinstance(named, Mapping):
-            raise ValueError(f"record: {name}: expected names with units, {{'pump_voltage': 'V'}} say, found {named!r}")
+            expected = "names with units, {'pump_voltage': 'V'} say"
+            raise ValueError(f"record: {name}: expected {expected}, found {shown(named)}")
+        for channel, unit in named.items():
+            check_kind(f"record: {name}: {channel}", unit, str, "the text of a unit, '' for none")
+        if not named:
+            raise ValueError(f"record: {name}: expected at least one name with its unit, found none")
     us, ys = _sequences("u", u, len(inputs)), _sequences("y", y, len(outputs))
     masks = [np.isfinite(one) for one in ys] if mask is None else _sequences("mask", mask, len(outputs))
     lengths = [[len(one) for one in part] for part in (us, ys, masks)]
@@ -41,17 +46,21 @@ def record_from(
     if lengths[0] != lengths[1]:
         raise ValueError(f"record: u and y: expected sequences of equal lengths, found {lengths[0]} and {lengths[1]}")
     longest = max(lengths[0])
+    _check("mask", masks, [(m == 0) | (m == 1) for m in masks], outputs, "True or False")
     measured = [m.astype(bool) & np.isfinite(one) for m, one in zip(masks, ys, strict=True)]
+    _check("u", us, [np.isfinite(one) for one in us], inputs, "finite numbers")
     names_u, names_y = (tuple(Channel(str(name), unit) for name, unit in named.items()) for named in (inputs, outputs))
     unequal = min(lengths[0]) < longest
-    info = RecordInfo(names_u, names_y, float(dt), "record", "arrays in memory", padded=unequal, start=start)
+    info = RecordInfo(names_u, names_y, dt, "record", "arrays in memory", padded=unequal, start=start)
     u, y, mask = (np.stack([padded(one, longest) for one in part]) for part in (us, ys, measured))
     return record(u, y, info, mask)
 
 
 def _sequences(name: str, signal: Any, channels: int) -> list[np.ndarray]:
     """Sequences `[time, channel]`; a single channel may come without its axis."""
-    parts = [np.asarray(one) for one in signal] if isinstance(signal, list | tuple) else np.asarray(signal)
+    where = f"record: {name}"
+    several = isinstance(signal, list | tuple)
+    parts = [real_numbers(where, one) for one in signal] if several else real_numbers(where, signal)
     if isinstance(parts, np.ndarray):
         parts = [parts] if parts.ndim < 3 else list(parts)
     elif parts and parts[0].ndim == 0:  # a list of numbers
@@ -62,4 +71,15 @@ def _sequences(name: str, signal: Any, channels: int) -> list[np.ndarray]:
             raise ValueError(f"record: {name}: expected [time, {channels}] or sequences of it, found shape {one.shape}")
     if not parts:
         raise ValueError(f"record: {name}: expected at least one sequence, found none")
-    return [one if one.dtype == bool else one.astype(np.float64, copy=False) for one in parts]
+    return parts
+
+
+def _check(
+    name: str, parts: Sequence[np.ndarray], good: Sequence[np.ndarray], channels: Mapping[str, str], expected: str
+) -> None:
+    """Raises `ValueError` that names the first sample of a signal that is not good."""
+    for k, (part, usable) in enumerate(zip(parts, good, strict=True)):
+        if not usable.all():
+            t, j = np.argwhere(~usable)[0]
+            place = f"{'' if len(parts) == 1 else f'sequence {k}, '}sample {t} of {list(channels)[j]!r}"
+            raise ValueError(f"record: {name}: expected {expected}, found {part[t, j]:g} in {place}")

@@ -4,8 +4,9 @@
     0.0,  3.25,         5.20                    sequence          rows of equal label are one sequence
     4.0,  3.24,         5.21                    mask, mask_<y>    1 = measured, 0 = not
 
-Sequences of unequal length are padded at their end with their last input; the padding is masked. Bad files raise
-`ValueError` with one sentence: file, line, column, what was expected, what was found.
+An empty cell of an output was not measured, where no mask says 1. Sequences of unequal length are padded at their end
+with their last input; the padding is masked. Bad files raise `ValueError` with one sentence: file, line, column, what
+was expected, what was found.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from jaxtyping import Bool, Int
 from pgrssnn_jax.records.record import Channel, Record, RecordInfo, Start, record
 from pgrssnn_jax.records.table import Table, column, numbers, problem, quoted_cell, read_table
 
+_NOTHING = ("", "nan")  # how programs write an output that was not measured
 _TOLERANCE = 0.01  # of dt: clocks and rounded time stamps are no better
 
 
@@ -63,14 +65,16 @@ def _sequences(table: Table) -> list[Int[np.ndarray, " time"]]:
 
 
 def _measured(table: Table, output: str) -> Bool[np.ndarray, " rows"]:
-    """Where the output counts: wherever neither `mask` nor `mask_<output>` says 0."""
+    """Where the output counts: where neither `mask` nor `mask_<output>` says 0; without both, where it has a value."""
+    masks = [name for name in ("mask", f"mask_{output}") if name in table.columns]
+    if not masks:
+        return np.array([cell.lower() not in _NOTHING for cell in column(table, output)], bool)
     measured = np.ones(len(table.lines), bool)
-    for name in ("mask", f"mask_{output}"):
-        if name in table.columns:
-            for row, cell in enumerate(table.columns[name]):
-                if cell not in ("0", "1", "0.0", "1.0"):
-                    raise problem(table.file, table.lines[row], name, "0 or 1", quoted_cell(cell))
-                measured[row] &= cell in ("1", "1.0")
+    for name in masks:
+        for row, cell in enumerate(table.columns[name]):
+            if cell not in ("0", "1", "0.0", "1.0"):
+                raise problem(table.file, table.lines[row], name, "0 or 1", quoted_cell(cell))
+            measured[row] &= cell in ("1", "1.0")
     return measured
 
 

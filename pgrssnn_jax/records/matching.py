@@ -7,9 +7,11 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from pgrssnn_jax.records.arguments import check_kind
 from pgrssnn_jax.records.record import Channel, Record
 from pgrssnn_jax.records.units import conversion
 
+A_RECORD = "a record, as pg.record(u, y, ...) or pg.read_csv(file, physics) makes one"
 _CLOCK = 0.01  # of the sample time: clocks are no better
 
 
@@ -29,6 +31,7 @@ def matched(record: Record, inputs: Sequence[Named], outputs: Sequence[Named], d
     where: what the record is, for messages. Raises `ValueError` for other names or their order, for a unit that cannot
     be converted, and for a sample time that differs by more than 1 % from dt, s.
     """
+    check_kind(where, record, Record, A_RECORD)
     info = record.info
     for what, channels, signals in (("inputs", info.inputs, inputs), ("outputs", info.outputs, outputs)):
         found, wanted = ([signal.name for signal in group] for group in (channels, signals))

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 _LONGEST = 40  # characters of a bad cell shown in a message
+_OTHER_SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 class Table(NamedTuple):
@@ -48,18 +49,26 @@ def read_table(path: str | Path) -> Table:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+            raise problem(path, 1, None, "text in UTF-8", "text in UTF-16") from None
         line = content[: error.start].count(b"\n") + 1
         raise problem(path, line, None, "text in UTF-8", f"the byte 0x{content[error.start]:02x}") from None
     rows, lines = _read_rows(path, text)
     if not rows:
         raise problem(path, 1, None, "a header with column names", "an empty file")
     header = rows.pop(0)
+    if other := next((mark for mark in _OTHER_SEPARATORS if len(header) == 1 and mark in header[0]), None):
+        raise problem(
+            path, lines[0], None, "commas between columns", f"{_OTHER_SEPARATORS[other]} in {quoted_cell(header[0])}"
+        )
     for name, times in Counter(name for name in header if name).items():
         if times > 1:
             raise problem(path, lines[0], name, "every column name once", f"it {times} times")
     named = [i for i, name in enumerate(header) if name]
+    if not named:
+        raise problem(path, lines[0], None, "a header with column names", "a row without any")
     # A column that only its trailing comma announces may be left out of a row: it has no name, nothing reads it.
-    needed = named[-1] + 1 if named else 0
+    needed = named[-1] + 1
     for row, line in zip(rows, lines[1:], strict=True):
         if len(row) < needed:
             raise problem(path, line, header[len(row)] or None, f"{needed} cells", str(len(row)))
@@ -99,7 +108,7 @@ def _read_bytes(path: str | Path) -> bytes:
     except (FileNotFoundError, ValueError):  # ValueError: a null character in the name
         found = "no such file"
     except OSError as error:
-        found = "a folder" if file.is_dir() else (error.strerror or type(error).__name__).lower()
+        found = "a folder" if isinstance(error, IsADirectoryError) else (error.strerror or type(error).__name__).lower()
     raise ValueError(f"{path}: expected a readable CSV file, found {found}")
 
 

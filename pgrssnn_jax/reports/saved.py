@@ -6,6 +6,7 @@ Nothing that came with a folder is executed: its physics is built by the package
 import importlib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from pgrssnn_jax.effects.stored import check_keys, read_stored, source_digest, s
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
-from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.arguments import call_with, check_kind, shown
 from pgrssnn_jax.records.record import Channel, RecordInfo, record
 from pgrssnn_jax.records.scaling import Scaling, Units, identity
 from pgrssnn_jax.reports.ensemble import Ensemble
@@ -48,6 +49,7 @@ def load(
     one's own. partial: also a run that has not finished. Raises `ValueError` for a folder that holds no finished run,
     for a physics that is missing or another one, and for damaged files.
     """
+    check_kind("run folder", folder, str | Path, "the name of a folder")
     run = RunFolder(Path(folder))
     config = read_training_config(run.path)
     if not (run.finished or partial):
@@ -59,27 +61,32 @@ def load(
     if not isinstance(shared, bool):
         raise ValueError(f"{folder}: data.shared_initial_state: expected true or false, found {shared!r}")
     fit = plan_fit(chosen, settings, shared=shared)
-    checkpoints = CheckpointFolder(run.checkpoint, create=False)
-    found = checkpoints.restore(_structure(fit), any_shape=True)
-    checkpoints.close()
+    with closing(CheckpointFolder(run.checkpoint, create=False)) as checkpoints:
+        found = checkpoints.restore(_structure(fit), any_shape=True)
     metrics = run.read_json("metrics.json")
     arrays = run.read_arrays("predictions.npz")
     count = len(found.state.epoch)
     rows = metrics.get("members") or [{"seed": settings.run.seed + i, "dataset": 0} for i in range(count)]
-    if len(rows) != count or not all(isinstance(row, dict) and {"seed", "dataset"} <= row.keys() for row in rows):
+    if not isinstance(rows, list) or len(rows) != count or not all(map(_is_member, rows)):
         raise ValueError(
-            f"{folder}: metrics.json: members: expected seed and dataset of {count} members, found {rows!r:.80}"
+            f"{folder}: metrics.json: members: expected seed and dataset of {count} members, found {shown(rows)}"
         )
-    members = [Member(int(row["seed"]), int(row["dataset"])) for row in rows]
+    members = [Member(row["seed"], row["dataset"]) for row in rows]
     start = arrays.get("x0_train", arrays["x0"][:, 0] if "x0" in arrays and fit.objective.initial.shared else None)
-    if start is None:
-        start = np.full((count, len(chosen.states)), np.nan)
-    n_sequences = int(metrics.get("n_sequences", 1))  # decides how members are mapped, and so the last bits
+    expected = count, len(chosen.states)
+    start = np.full(expected, np.nan) if start is None else start
+    if start.shape != expected or start.dtype.kind != "f":
+        raise ValueError(f"{folder}: predictions.npz: x0_train: expected numbers {expected}, found {shown(start)}")
+    n_sequences = metrics.get("n_sequences", 1)  # decides how members are mapped, and so the last bits
+    if type(n_sequences) is not int or n_sequences < 1:
+        raise ValueError(f"{folder}: metrics.json: n_sequences: expected 1 or more, found {shown(n_sequences)}")
     mapping = member_mapping(settings.members, count, n_sequences, accelerate=settings.run.accelerate)
     trained = Trained(fit.objective, mapping, members, found.state, found.scaling, found.units, start)
     inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
     info = RecordInfo(inputs, outputs, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))
-    seconds = {name: value for name, value in metrics.get("seconds", {}).items() if name != "total"}
+    spent = metrics.get("seconds", {})
+    check_kind(f"{folder}: metrics.json: seconds", spent, Mapping, "seconds by the names of the steps")
+    seconds = {name: value for name, value in spent.items() if name != "total"}
     return Ensemble(
         settings,
         trained,
@@ -91,6 +98,10 @@ def load(
         recipe=_recipe(config),
         intervals=_intervals(run, len(chosen.inputs), len(chosen.outputs)),
     )
+
+
+def _is_member(row: Any) -> bool:
+    return isinstance(row, dict) and all(type(row.get(name)) is int for name in ("seed", "dataset"))
 
 
 def _intervals(run: RunFolder, n_u: int, n_y: int) -> Intervals | None:
@@ -160,7 +171,12 @@ def _trusted(target: str, trust: Sequence[str]) -> Callable[..., Any] | None:
 
 def _check_signals(physics: Physics, stored: Mapping[str, Any], folder: Path) -> None:
     """An effect with memory has added states; those of the physics itself come first."""
-    for kind, expected in (stored.get("signals") or {}).items():
+    named, kinds = stored.get("signals") or {}, ("states", "inputs", "outputs")
+    check_kind(f"{folder}: physics.json: signals", named, Mapping, f"lists of {', '.join(kinds)}")
+    for kind, expected in named.items():
+        if kind not in kinds or not isinstance(expected, list):
+            found = shown({kind: expected})
+            raise ValueError(f"{folder}: physics.json: signals: expected lists of {', '.join(kinds)}, found {found}")
         found = [[s.name, s.unit] for s in getattr(physics, kind)]
         if found != expected[: len(found)] or (kind != "states" and len(found) != len(expected)):
             raise ValueError(f"{folder}: physics: {kind}: expected {expected}, found {found}")

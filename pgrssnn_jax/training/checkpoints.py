@@ -16,6 +16,7 @@ import orbax.checkpoint as ocp
 from pgrssnn_jax.records.scaling import Scaling, Units
 from pgrssnn_jax.training.loop import Losses, no_losses
 from pgrssnn_jax.training.optimise import MemberState
+from pgrssnn_jax.training.run_folder import first_line
 
 
 class Checkpoint(NamedTuple):
@@ -50,7 +51,7 @@ class CheckpointFolder:
         epoch = self._manager.latest_step()
         if epoch is None:
             raise ValueError(f"checkpoint: expected one in {str(self._manager.directory)!r}, found none")
-        found, expected = _today(self._manager.restore(epoch, args=ocp.args.StandardRestore())), _named(like)
+        found, expected = _today(self._read(epoch)), _named(like)
         trees: dict[str, Any] = {}
         for name in ("state", "scaling", "units"):
             arrays = found.get(name, {})
@@ -64,8 +65,20 @@ class CheckpointFolder:
                 )
             leaves = [arrays[key] for key in sorted(arrays)]
             trees[name] = jax.tree.unflatten(jax.tree.structure(getattr(like, name)), leaves)
+        there = sorted(found.get("losses", ()))
+        if epoch and there != sorted(Losses._fields):
+            raise ValueError(f"checkpoint: losses: expected {sorted(Losses._fields)}, found {there}")
         losses = Losses(**found["losses"]) if epoch else no_losses(len(trees["state"].epoch))
         return Checkpoint(**trees, losses=losses)
+
+    def _read(self, epoch: int) -> Mapping[str, Any]:
+        try:
+            found = self._manager.restore(epoch, args=ocp.args.StandardRestore())
+        except Exception as problem:  # orbax raises whatever a damaged file leads it to
+            found = first_line(problem)
+        if not isinstance(found, Mapping) or not all(isinstance(part, Mapping) for part in found.values()):
+            raise ValueError(f"checkpoint: expected a whole one in {str(self._manager.directory)!r}, found {found}")
+        return found
 
     def clear(self) -> None:
         """Forgets the checkpoints of an earlier run in the same folder."""

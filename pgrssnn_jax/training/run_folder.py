@@ -7,13 +7,13 @@ Every file is written under a temporary name, brought to the disk and renamed; `
 without it holds a run that has not finished.
 """
 
+import io
 import json
 import math
 import os
 import platform
 import shutil
 import subprocess
-import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import metadata
@@ -32,6 +32,7 @@ _RESULTS = (
     "DONE", "FAILED", "traceback.txt", "metrics.json", "predictions.npz", "intervals.npz", "history.csv", "report.html",
     "discovery.json", "discovery.npz",
 )  # fmt: skip
+_LONGEST = 100  # characters of somebody else's message
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
 
 
@@ -39,6 +40,9 @@ class RunFolder:
     """Paths and atomic writers of one run; nothing is created before the first write."""
 
     def __init__(self, path: Path) -> None:
+        """Raises `ValueError` where a file stands in the place of the folder, or of one above it."""
+        if file := next((one for one in (path, *path.parents) if one.is_file()), None):
+            raise ValueError(f"run folder: expected a folder at {str(path)!r}, found the file {str(file)!r}")
         self.path, self.checkpoint, self.figures = path, path / "checkpoint", path / "figures"
 
     @property
@@ -124,8 +128,8 @@ class RunFolder:
         path = self.path / name
         try:
             found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-        except (OSError, ValueError) as problem:
-            raise ValueError(f"{path}: expected a JSON file, found {problem}") from None
+        except (OSError, ValueError, RecursionError) as problem:
+            raise ValueError(f"{path}: expected a JSON file, found {first_line(problem)}") from None
         if not isinstance(found, dict):
             raise ValueError(f"{path}: expected named values, found {type(found).__name__}")
         return found
@@ -136,10 +140,10 @@ class RunFolder:
         if not path.is_file():
             return {}
         try:
-            with np.load(path, allow_pickle=False) as arrays:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
                 return {key: arrays[key] for key in arrays.files}
-        except (OSError, ValueError, zipfile.BadZipFile) as problem:
-            raise ValueError(f"{path}: expected arrays of numbers, found {problem}") from None
+        except Exception as problem:  # NumPy and zlib raise whatever a damaged file leads them to
+            raise ValueError(f"{path}: expected arrays of numbers, found {first_line(problem)}") from None
 
     def finish(self) -> None:
         self.write_text("DONE", "")
@@ -169,6 +173,12 @@ class RunFolder:
         if self.checkpoint.exists():
             self.checkpoint.rename(removed)
             shutil.rmtree(removed, ignore_errors=True)
+
+
+def first_line(problem: BaseException) -> str:
+    """What somebody else's exception says, short and on one line; its type where it says nothing."""
+    text = str(problem).strip()
+    return text.splitlines()[0][:_LONGEST] if text else type(problem).__name__
 
 
 def environment() -> dict[str, Any]:
@@ -227,8 +237,7 @@ def read_config(folder: Path) -> dict[str, Any]:
     try:
         found = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
     except (yaml.YAMLError, OmegaConfBaseException, UnicodeDecodeError, AssertionError, OSError) as problem:
-        reason = (str(problem).splitlines() or [type(problem).__name__])[0]
-        raise ValueError(f"{path}: expected the configuration of a run, found {reason}") from None
+        raise ValueError(f"{path}: expected the configuration of a run, found {first_line(problem)}") from None
     if not isinstance(found, dict):
         raise ValueError(f"{path}: expected groups of named values, found {type(found).__name__}")
     return {str(key): value for key, value in found.items()}

@@ -4,13 +4,14 @@ The command line groups them (`fit.epochs=20`), the Python API takes them by nam
 Source of the published values: Li, Seth, Kok, IFAC 2026, and the authors' released code.
 """
 
+import math
 import warnings
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, NamedTuple
 
 from pgrssnn_jax.models.spec import ModelSpec, variant_changes
-from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.arguments import call_with, check_count
 
 InitialStateKind = Literal["zero", "scaled_zero", "first_output", "estimated", "least_squares"]
 Guard = Literal["none", "rollback"]
@@ -36,8 +37,8 @@ class FitSettings:
     def __post_init__(self) -> None:
         for names, expected, holds in (
             (("validate_every", "patience", "chunk_epochs"), "at least 1", lambda value: value >= 1),
-            (("epochs", "weight_decay", "checkpoint_seconds"), "0 or more", lambda value: value >= 0),
-            (("learning_rate", "clip_norm"), "a positive number", lambda value: value is None or value > 0),
+            (("epochs", "weight_decay", "checkpoint_seconds"), "0 or more", lambda value: 0 <= value < math.inf),
+            (("learning_rate", "clip_norm"), "a positive number", lambda value: value is None or 0 < value < math.inf),
         ):
             for name in names:
                 if not holds(value := getattr(self, name)):
@@ -84,6 +85,10 @@ class DataSettings:
     block: int = 32  # samples of such a block
     lead: int = 0  # first samples of a record that all members train on, so that each knows where it starts
     window: int | None = None  # samples per training sequence; None: sequences stay whole
+
+    def __post_init__(self) -> None:
+        for name, least in (("block", 1), ("lead", 0)):
+            check_count(f"data.{name}", getattr(self, name), least, 10**9, "samples")
 
 
 @dataclass(frozen=True)

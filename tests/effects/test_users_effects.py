@@ -107,7 +107,8 @@ def test_the_catalogue_takes_it_at_its_end():
         catalogue(pendulum(), extra=[taken])
     with pytest.raises(ValueError, match="found another 'twisted_wire'"):
         catalogue(pendulum(), extra=[twisted_wire(), twisted_wire()])
-    assert catalogue(pendulum(), without=["sensor_offset"], extra=[taken])[-1] is taken
+    own = next(effect for effect in known if effect.name == "sensor_offset")._replace(title="of one's own")
+    assert catalogue(pendulum(), without=["sensor_offset"], extra=[own])[-1] is own
     of_angle = Needs("a state called angle", lambda physics: any(s.name == "angle" for s in physics.states))
     assert catalogue(pendulum(), extra=[twisted_wire(needs=of_angle)])
     with pytest.raises(ValueError, match="twisted_wire: expected a state called angle, found physics 'tanks'"):

@@ -131,8 +131,8 @@ G = np.zeros((4, 2))
         (np.float64(1.0), G, {}, r"u: expected \[time, 2\] or sequences of it, found shape \(\)"),
         (G, G, {"mask": np.ones(4, bool)}, r"mask: expected \[time, 2\] or sequences of it, found shape \(4,\)"),
         (G, G, {"mask": np.ones((3, 2), bool)}, r"mask: expected sequences of the lengths of y, \[4\], found \[3\]"),
-        (np.full((4, 2), np.nan), G, {}, "u and y: expected finite numbers wherever the mask is True, found NaN"),
-        (np.full((4, 2), np.inf), G, {}, "u and y: expected finite numbers wherever the mask is True, found NaN"),
+        (np.full((4, 2), np.nan), G, {}, "u: expected finite numbers, found nan in sample 0 of 'f'"),
+        ([G, G + np.inf], [G, G], {}, "u: expected finite numbers, found inf in sequence 1, sample 0 of 'f'"),
     ],
 )
 def test_what_is_no_record_is_refused_in_one_sentence(u, y, more, sentence):

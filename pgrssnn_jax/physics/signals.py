@@ -1,0 +1,88 @@
+"""What the numbers of a physics mean: its parameters and its signals, and the sentence for what is none of them."""
+
+import sys
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgrssnn_jax.records.arguments import check_kind, real_numbers, shown
+
+
+class Parameter(NamedTuple):
+    """What one number of `Physics.params` means.
+
+    bounds: closed interval that fitting respects; neutral: the value at which the term has no influence
+    (None if there is none); trainable: may fitting change it?
+    """
+
+    symbol: str = ""
+    unit: str = ""
+    bounds: tuple[float, float] = (-float("inf"), float("inf"))
+    neutral: float | None = None
+    trainable: bool = True
+
+
+class Signal(NamedTuple):
+    """One state, input or output.
+
+    A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
+    output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
+    by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
+    first value at the start; of a state, what that has done: zero at the start, scaled by a simulation. range: beyond
+    it a value must be in another unit (degrees for rad); data are checked against it. start: its value at the start of
+    a record, where it is known. fit_initial: a memory that lasts, whose start a fit must find like that of a state of
+    the physics. inner: of a state that networks neither see nor correct: a covariance, say.
+    """
+
+    name: str
+    unit: str = ""
+    like: str | None = None
+    rate_of: str | None = None
+    range: tuple[float, float] = (-float("inf"), float("inf"))
+    memory_of: str | None = None
+    start: float | None = None
+    fit_initial: bool = False
+    inner: bool = False
+
+
+def is_parameter(leaf: object) -> bool:
+    return isinstance(leaf, Parameter)
+
+
+def checked_signals(where: str, given: Any) -> tuple[Signal, ...]:
+    """Signals as a tuple. Raises `ValueError` for what is none, for none at all, and for a name that is there twice."""
+    found = () if isinstance(given, str | Signal) or not isinstance(given, Iterable) else tuple(given)
+    if not found or not all(isinstance(s, Signal) and isinstance(s.name, str) and s.name for s in found):
+        expected = 'signals with names, (pg.Signal("level", "V"),) say'
+        raise ValueError(f"{where}: expected {expected}, found {shown(given)}")
+    for signal in found:
+        check_kind(f"{where}: {signal.name}: unit", signal.unit, str, "text, '' for none")
+        checked_span(f"{where}: {signal.name}: range", signal.range)
+        if signal.start is not None and not np.isfinite(real_numbers(f"{where}: {signal.name}: start", signal.start)):
+            raise ValueError(f"{where}: {signal.name}: start: expected a finite number or None, found {signal.start}")
+    names = [signal.name for signal in found]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise ValueError(f"{where}: expected every name once, found {twice[0]!r} {len(twice)} times")
+    return found
+
+
+def checked_span(where: str, given: Any) -> tuple[float, float]:
+    """A lower and an upper end. Raises `ValueError` for anything else."""
+    ends = given if isinstance(given, tuple | list) and len(given) == 2 else (np.nan, np.nan)
+    if not all(isinstance(end, int | float | np.number) for end in ends) or not ends[0] <= ends[1]:
+        raise ValueError(f"{where}: expected (low, high) with low ≤ high, found {shown(given)}")
+    most = sys.float_info.max  # which a whole number may exceed
+    low, high = (np.inf if end > most else -np.inf if end < -most else float(end) for end in ends)
+    return low, high
+
+
+def check_number(where: str, value: Any, meaning: Parameter) -> None:
+    """Raises `ValueError` for a parameter that is no number, or outside its bounds, and for bounds that are none."""
+    low, high = checked_span(f"{where}: bounds", meaning.bounds)
+    numbers = real_numbers(where, value)
+    if np.isnan(numbers).any():
+        raise ValueError(f"{where}: expected numbers, found NaN")
+    if not np.all((numbers >= low) & (numbers <= high)):
+        found = " ".join(str(value).split())
+        raise ValueError(f"{where}: expected {low:g} to {high:g} {meaning.unit}".rstrip() + f", found {found}")
