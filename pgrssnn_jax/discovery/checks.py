@@ -1,6 +1,7 @@
 """What a physics must offer to be examined: a free run over the record that stays finite, and so do its derivatives."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.integrate import EXPLICIT
 from pgrssnn_jax.physics.simulate import free_run
 
 _LARGEST = float(np.finfo(np.float32).max)  # networks are trained in this precision
@@ -27,8 +29,7 @@ def check_physics(setup: Setup) -> None:
         signals = record.signals(problem, 0)
         y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
         _check_free_run(problem, signals, y[0], x[0])
-        origin = setup.physics.origin
-        if origin is None or not origin.target.startswith("pgrssnn_jax."):
+        if not _of_library(setup.physics):
             _check_derivatives(problem, signals, x[0])
 
 
@@ -56,15 +57,26 @@ def _of_shorter_steps(physics: Physics, signals: Signals) -> str:
     if steps is None:
         return f" (a step of dt={physics.dt:g} s may be too long for this system: the step function may divide it)"
     method = known if isinstance(known, str) else "this integrator"
+
+    def finite(**settings: Any) -> bool:
+        _, x = free_run(physics.variant(**settings), signals.u, signals.start)
+        return bool((np.abs(np.asarray(x)) < _LARGEST).all())
+
     tried = [more * steps for more in _SHORTER if more * steps <= _MOST]
-    for shorter in tried:
-        _, x = free_run(physics.variant(sub_steps=shorter), signals.u, signals.start)
-        if (np.abs(np.asarray(x)) < _LARGEST).all():
-            return (
-                f" (its step of {physics.dt / steps:g} s is too long for {method}, as it is where a system is stiff: "
-                f"sub_steps={shorter} in place of {steps} keeps the run finite)"
-            )
-    return f" (shorter steps of {method}, up to sub_steps={tried[-1]}, do not help)" if tried else ""
+    helping = next((shorter for shorter in tried if finite(sub_steps=shorter)), None)
+    if helping is None:
+        return f" (shorter steps of {method}, up to sub_steps={tried[-1]}, do not help)" if tried else ""
+    # asked only where shorter steps help: an implicit step may carry a system past the time at which it has no solution
+    implicit = known in EXPLICIT and not _of_library(physics) and finite(integrator="rosenbrock")
+    return (
+        f" (its step of {physics.dt / steps:g} s is too long for {method}, as it is where a system is stiff: "
+        f"sub_steps={helping} in place of {steps} keeps the run finite"
+        f"{', and so does the implicit integrator=rosenbrock' if implicit else ''})"
+    )
+
+
+def _of_library(physics: Physics) -> bool:
+    return physics.origin is not None and physics.origin.target.startswith("pgrssnn_jax.")
 
 
 def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:

@@ -66,6 +66,9 @@ INTEGRATORS: dict[str, Integrator] = {
 }
 
 
+EXPLICIT = ("euler", "rk4", "rk4_looped")  # leave the range where a step is long against the fastest mode
+
+
 def named(integrator: Integrator | str) -> Integrator:
     """Raises `ValueError` for an unknown name."""
     if callable(integrator):
