@@ -201,7 +201,7 @@ def _bounds(params: Any, slots: tuple[Slot, ...]) -> tuple[np.ndarray, np.ndarra
     largest, _ = ravel_pytree(
         jax.tree.map(lambda p: np.full(p.shape, np.abs(p).max() if p.ndim > 1 else np.inf), params)
     )
-    near = np.isinf(low) & np.isinf(high) & np.array([slot.effect is None for slot in slots])
+    near = np.isinf(low) & np.isinf(high) & np.array([slot.effect is None for slot in slots], bool)
     reach = np.where(near & np.isfinite(largest), _MATRIX_REACH * np.asarray(largest), np.inf)
     return np.where(np.isfinite(reach), given - reach, low), np.where(np.isfinite(reach), given + reach, high)
 

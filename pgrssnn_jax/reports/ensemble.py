@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.records.arguments import check_kind, real_numbers, shown
 from pgrssnn_jax.records.record import Array, Record, RecordInfo
 from pgrssnn_jax.reports.markup import html, tag
 from pgrssnn_jax.reports.prediction import compared, prediction_figure
@@ -89,7 +90,10 @@ class Ensemble:
         return self.trained.objective.model
 
     def params(self, member: int) -> ModelParams:
-        """The numbers of one member, for `pg.rollout`."""
+        """The numbers of one member, for `pg.rollout`. Raises `ValueError` for a member that is not there."""
+        count = len(self.trained.members)
+        if type(member) is not int or not 0 <= member < count:
+            raise ValueError(f"params: member: expected 0 to {count - 1}, found {shown(member)}")
         best, scaling = select((self.trained.state.best, self.trained.scaling), member)
         return self.trained.objective.assemble(best, scaling)
 
@@ -109,20 +113,14 @@ class Ensemble:
         result to a `Simulated`. Raises `ValueError` for other shapes, for inputs that are not finite, where training
         knew no start, and where no interval was calibrated.
         """
-        u, n_u, n_x = np.asarray(u), len(self.physics.inputs), self.model.n_x
-        if u.ndim not in (2, 3) or u.shape[-1] != n_u:
+        u, n_u = real_numbers("simulate: u", u), len(self.physics.inputs)
+        if u.ndim not in (2, 3) or u.shape[-1] != n_u or not u.size:
             raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {u.shape}")
         if not np.isfinite(u).all():
             raise ValueError("simulate: u: expected finite numbers, found NaN or infinity")
         sequences = u if u.ndim == 3 else u[None]
-        shape = (len(self.trained.members), len(sequences), n_x)
-        if x0 is None:
-            start = np.broadcast_to(self._known_start()[:, None], shape)
-        else:
-            if np.shape(x0) not in ((n_x,), (len(sequences), n_x)):
-                expected = f"({n_x},) or ({len(sequences)}, {n_x})"
-                raise ValueError(f"simulate: x0: expected shape {expected}, found {np.shape(x0)}")
-            start = np.broadcast_to(np.asarray(x0), shape)
+        start = self._known_start()[:, None] if x0 is None else self._given_start(x0, len(sequences))
+        start = np.broadcast_to(start, (len(self.trained.members), len(sequences), self.model.n_x))
         y = evaluation.predict_from(self.trained, sequences, start).y.copy()
         y[~self._usable] = np.nan
         if interval is None:
@@ -134,6 +132,14 @@ class Ensemble:
         half = self.intervals.half_width(mean, spread, sequences, interval)
         found = Simulated(y, mean, mean - half, mean + half)
         return found if u.ndim == 3 else Simulated(y[:, 0], *(a[0] for a in found[1:]))
+
+    def _given_start(self, x0: Array, sequences: int) -> Float[np.ndarray, "*seq x"]:
+        found, n_x = real_numbers("simulate: x0", x0), self.model.n_x
+        if found.shape not in ((n_x,), (sequences, n_x)):
+            raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({sequences}, {n_x}), found {found.shape}")
+        if not np.isfinite(found).all():
+            raise ValueError("simulate: x0: expected finite numbers, found NaN or infinity")
+        return found
 
     @property
     def _usable(self) -> np.ndarray:
@@ -246,6 +252,7 @@ class Ensemble:
     def save(self, folder: str | Path, test: Record | None = None) -> None:
         """Writes a run folder (`docs/runs.md`): parameters, physics, settings, history and a page; with figures on the
         test record that is given or was scored last. `pg.load` reads it. Raises `ValueError` where it cannot write."""
+        check_kind("save: folder", folder, str | Path, "the name of a folder")
         found = self._evaluated if test is None else self.evaluate(test)
         run, data, physics = RunFolder(Path(folder)), {"train": f"{self.info.source}: {self.info.origin}"}, self.physics
         with locked(run.path):

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
+from pgrssnn_jax.records.arguments import shown
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.training.left_out import LeftOut
 
@@ -49,8 +50,8 @@ class Intervals(NamedTuple):
         level: float,
     ) -> Float[np.ndarray, "run time y"]:
         """q s of the level, 0 to 1, in the units of the outputs. Raises `ValueError` for another level."""
-        if not 0.0 < level < 1.0:
-            raise ValueError(f"interval: expected a level between 0 and 1, for example 0.9, found {level}")
+        if isinstance(level, bool) or not isinstance(level, int | float | np.number) or not 0.0 < level < 1.0:
+            raise ValueError(f"interval: expected a level between 0 and 1, for example 0.9, found {shown(level)}")
         found = np.empty(predicted.shape)
         for k, (weights, quantiles) in enumerate(zip(self.weights, self.quantiles, strict=True)):
             log_variance = self.features(predicted[..., k], u, k) @ weights

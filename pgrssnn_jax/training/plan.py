@@ -1,6 +1,7 @@
 """From a physics, its records and the settings to everything that training needs. All bad input is found here, before
 a byte is written: every function raises `ValueError` with one sentence."""
 
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -67,6 +68,7 @@ def plan_training(
         fitted = cut_windows(fitted, settings.data.window)
     fit = plan_fit(physics, settings, shared=train.info.start == "shared")
     model, initial = fit.objective.model, fit.objective.initial
+    _check_varies(fitted)
     for name, record in (("train", fitted), ("validation", aside)):
         check_record(name, record, initial, physics, searched=name != "train" and not settings.data.folds)
     # Published scaling concerns the networks alone where some state is the rate of an output, and puts rates into the
@@ -148,6 +150,19 @@ def check_record(name: str, record: Record, initial: InitialState, physics: Phys
             raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
     if searched and initial.trained and time <= initial.n_init:
         raise ValueError(f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}")
+
+
+def _check_varies(train: Record) -> None:
+    """Raises `ValueError` for a record none of whose outputs varies: there is nothing to learn."""
+    y = np.where(train.mask, train.y, np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # an output that was never measured
+        spread = np.nanmax(y, (0, 1, 2)) - np.nanmin(y, (0, 1, 2))
+    if not (spread > 0).any() and np.isfinite(y).any():
+        value = f"{y[np.isfinite(y)][0]:.3g}"
+        raise ValueError(
+            f"data: train: expected an output that varies, found {value} everywhere in {train.info.origin}"
+        )
 
 
 def check_range(where: str, signal: Signal, values: np.ndarray) -> None:

@@ -144,6 +144,12 @@ def test_a_setting_that_cannot_be_is_named(settings, words):
     refused(lambda: fit(**settings), *words)
 
 
+def test_a_record_in_which_no_output_varies_teaches_nothing():
+    refused(
+        lambda: pg.fit("physics_only", tanks(), record(U, 0 * Y + 3.0), quiet=True), "an output that varies", "found 3"
+    )
+
+
 def test_numbers_of_numpy_are_numbers():
     settings = fit("physics_only", hidden=np.int64(3), learning_rate=np.float32(0.5)).settings
     assert (settings.model.hidden, settings.fit.learning_rate) == (3, 0.5)
