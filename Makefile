@@ -39,11 +39,12 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
+test-latest: RESOLUTION := highest
+test-oldest: RESOLUTION := lowest-direct
 test-latest test-oldest: test-%:
 	$(PYTHON) -m venv --clear $(VENV)-$*
 	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check uv
-	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python \
-	  --resolution $(if $(filter oldest,$*),lowest-direct,highest) --editable '.[test]'
+	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python --resolution $(RESOLUTION) --editable '.[test]'
 	$(VENV)-$*/bin/python -m pytest
 
 mutants: install

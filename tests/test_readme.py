@@ -63,7 +63,7 @@ def test_every_command_composes(line):
             assert compose(name, overrides=words).resume == "runs/FOLDER"
         return
     config = composed(*words, name=name)
-    assert config["runs"] if name == "report" else config["physics"]["_target_"]
+    assert config["runs"] or config["verify"] if name == "report" else config["physics"]["_target_"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

@@ -174,7 +174,7 @@ def test_a_report_of_no_folder_is_refused(folder):
         (["runs=none"], "runs: expected a folder, or several with commas between them, found 'none'"),
         (["runs=A.csv"], "runs: expected a folder"),
         (["runs=.", "out=A.csv"], "out: expected a folder, found the file 'A.csv'"),
-        (["runs=.", "+depth=1"], "expected the keys ['out', 'runs'], found 'depth'"),
+        (["runs=.", "+depth=1"], "expected the keys ['out', 'runs', 'verify'], found 'depth'"),
     ):
         before = contents(folder)
         code, out, err = called(*arguments, cwd=folder, script="report.py")

@@ -87,6 +87,7 @@ def test_no_further_job_begins_after_ctrl_c_even_where_the_last_one_had_nothing_
     }
 
 
+@pytest.mark.slow
 def test_a_failing_job_never_stops_the_others_and_the_next_start_only_does_what_is_left(tmp_path, stub):
     sweep = ["-m", "+experiment=cascaded_tank", "seed=0,1,2,3", "model=rssnn"]
     code, out, err = command(*sweep, cwd=tmp_path, script=stub)
@@ -127,6 +128,7 @@ def test_a_failing_job_never_stops_the_others_and_the_next_start_only_does_what_
     assert runs[names[0]].failure is None
 
 
+@pytest.mark.slow
 def test_a_table_runs_without_m_and_a_smoke_run_lands_where_no_other_does(tmp_path, stub):
     code, out, err = command("+experiment=data_efficiency_tank", "budget=smoke", cwd=tmp_path, script=stub)
     assert code == 0, err

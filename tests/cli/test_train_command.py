@@ -146,6 +146,7 @@ def test_resume_refuses_another_run_and_takes_more_epochs(tmp_path, benchmark):
         resume_config(other, saved, ["model.hidden=8"], tmp_path)
 
 
+@pytest.mark.slow
 def test_a_killed_run_resumes_from_its_first_checkpoint(tmp_path, benchmark):
     """SIGKILL before anything was trained: the run is there, unfinished, and resumes to its end."""
     process = start(*quick(benchmark), "fit.epochs=40", "hydra.run.dir=killed", cwd=tmp_path)

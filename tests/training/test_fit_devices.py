@@ -21,7 +21,7 @@ ALONE = ModelSpec(networks=False)
     [
         (ALONE, "loop", 1e-6),
         # products of matrices: a program for two devices, or of another width, sums in another order
-        (FED_BACK, "vmap", 1e-4),
+        pytest.param(FED_BACK, "vmap", 1e-4, marks=pytest.mark.slow),
     ],
     ids=["physics-loop", "networks-vmap"],
 )
