@@ -41,11 +41,12 @@ $(VENV)/.installed: pyproject.toml requirements.lock
 
 test-latest: RESOLUTION := highest
 test-oldest: RESOLUTION := lowest-direct
+test-oldest: PYTEST_ARGUMENTS := -W ignore::DeprecationWarning  # of old packages, by what is newer than they are
 test-latest test-oldest: test-%:
 	$(PYTHON) -m venv --clear $(VENV)-$*
 	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check uv
 	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python --resolution $(RESOLUTION) --editable '.[test]'
-	$(VENV)-$*/bin/python -m pytest
+	$(VENV)-$*/bin/python -m pytest $(PYTEST_ARGUMENTS)
 
 mutants: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check cosmic-ray
