@@ -117,9 +117,14 @@ class RunFolder:
         self.write(name, lambda path: table.to_csv(path, index=False))
 
     def write_arrays(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        if objects := [key for key, array in arrays.items() if np.asarray(array).dtype.hasobject]:
+            raise TypeError(f"{name}: {objects[0]}: expected numbers, found objects, which would be pickled")
+
+        save: Callable[..., None] = np.savez_compressed  # NumPy before 2.2 takes its allow_pickle for an array
+
         def write(path: Path) -> None:
             with path.open("wb") as file:
-                np.savez_compressed(file, allow_pickle=False, **arrays)
+                save(file, **arrays)
 
         self.write(name, write)
 
