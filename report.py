@@ -1,6 +1,6 @@
 """Tables, figures and one page of many runs: python report.py runs=FOLDER[,FOLDER2] [out=FOLDER].
 
-Or runs evaluated again and compared with what they say: python report.py verify=RUN."""
+Or runs evaluated again and compared with the figures in their folders: python report.py verify=RUN."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A process of the commands: its exit codes, its error line, how a person stops it, and what a machine can refuse it.
+"""A process of the commands: exit codes, error lines, signals, and the sentences for a full disk and missing memory.
 
 Standard library alone.
 """

@@ -1,5 +1,5 @@
 """What `report.py` does: run folders -> tables -> files, figures and one page, and the tables in the terminal; or runs
-that are evaluated again and compared with what they say."""
+that are evaluated again and compared with the figures in their folders."""
 
 import shlex
 import sys

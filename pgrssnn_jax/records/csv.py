@@ -5,8 +5,8 @@
     4.0,  3.24,         5.21                    mask, mask_<y>    1 = measured, 0 = not
 
 An empty cell of an output was not measured, where no mask says 1. Sequences of unequal length are padded at their end
-with their last input; the padding is masked. Bad files raise `ValueError` with one sentence: file, line, column, what
-was expected, what was found.
+with their last input; the padding is masked. A bad file raises `ValueError` with one
+sentence that names file, line, column, the expected and the found value.
 """
 
 from collections.abc import Sequence

@@ -1,5 +1,5 @@
-"""What `metrics.json` says of predictions beside their errors: how good the intervals are, what the networks supply,
-and where a run leaves the range of training."""
+"""Entries of `metrics.json` beside the errors: coverage and width of the intervals, share of the networks, share of the
+samples outside the range of training."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -63,8 +63,8 @@ def trained_members(plan: Plan, state: MemberState) -> Trained:
 
 
 def predict(trained: Trained, test: Record) -> Predictions:
-    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in. A
-    program of its own, so that a run that is read back gives the bits of the one that was trained."""
+    """Runs every member on its test record `[member, seq, time, channel]`, in the units that the model works in. One
+    compiled program serves runs that were just trained and loaded ones: their predictions are equal bit by bit."""
     objective = trained.objective
 
     def one(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:

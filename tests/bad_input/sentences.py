@@ -1,4 +1,4 @@
-"""One sentence for each bad input, small records and physics to be bad with."""
+"""Assertions on error messages; a small record and a physics for tests of bad input."""
 
 import re
 from collections.abc import Callable
@@ -20,7 +20,7 @@ def contents(folder: Path) -> dict[Path, bytes | None]:
 
 
 def assert_one_sentence(text: str, *words: str) -> None:
-    """On one line: what was expected, and what was found."""
+    """One line that names the expected and the found value."""
     assert "\n" not in text, text
     assert re.search("expected .+, found .+", text), text
     assert "Traceback" not in text

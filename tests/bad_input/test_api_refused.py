@@ -1,4 +1,4 @@
-"""Arrays, names, units and settings that no record and no training can be made of."""
+"""Bad arguments of `pg.record` and `pg.fit`."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Discoveries that cannot be, before any work; and the file of one that is no longer what was found."""
+"""Bad arguments of `pg.discover`, and damaged `discovery.json` files."""
 
 import copy
 import json

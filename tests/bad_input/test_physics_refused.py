@@ -1,4 +1,4 @@
-"""A user's own physics: signals and numbers that are none, and functions that return something else or go astray."""
+"""Own physics with bad signals, bad parameters, or functions whose result is of another shape or not finite."""
 
 import re
 

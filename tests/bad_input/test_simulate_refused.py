@@ -1,4 +1,4 @@
-"""Free runs, effects, benchmarks and trained members that are asked for what cannot be."""
+"""Bad arguments of `pg.simulate`, `pg.rollout`, `pg.add`, the loaders and trained ensembles."""
 
 from pathlib import Path
 

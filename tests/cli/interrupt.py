@@ -1,4 +1,4 @@
-"""Interrupting the commands: what is run, how it is disturbed, and what a folder must hold afterwards."""
+"""Commands to interrupt, the kinds of interruption, and checks of the run folder afterwards."""
 
 import contextlib
 import json
