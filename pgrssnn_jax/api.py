@@ -38,9 +38,9 @@ from pgrssnn_jax.effects.systems import add_effect as add
 from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
 from pgrssnn_jax.models.spec import ModelSpec, changes_of
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
-from pgrssnn_jax.physics.check import check_given
+from pgrssnn_jax.physics.check import check_given, checked_inputs, checked_start
 from pgrssnn_jax.physics.simulate import free_run
-from pgrssnn_jax.records.arguments import call_with, check_kind, real_numbers, shown
+from pgrssnn_jax.records.arguments import call_with, check_kind, shown
 from pgrssnn_jax.records.build import record_from as record
 from pgrssnn_jax.records.csv import read_csv as _read_csv
 from pgrssnn_jax.records.matching import A_RECORD
@@ -247,13 +247,9 @@ def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
     floating-point range does not raise: `first_bad` says where. Raises `ValueError` for other shapes, for what is no
     number, and for a physics whose functions do not return what its signals say."""
     check_given(physics)
-    n_u, n_x = len(physics.inputs), len(physics.states)
-    u, x0 = (real_numbers(f"simulate: {name}", a).astype(np.float64) for name, a in (("u", u), ("x0", x0)))
-    if u.ndim not in (2, 3) or u.shape[-1] != n_u or not u.size:
-        raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {u.shape}")
+    u, n_x = checked_inputs(u, len(physics.inputs)), len(physics.states)
     sequences = u if u.ndim == 3 else u[None]
-    if x0.shape not in ((n_x,), (len(sequences), n_x)):
-        raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({len(sequences)}, {n_x}), found {x0.shape}")
+    x0 = checked_start(x0, n_x, len(sequences))
     with jax.enable_x64(True):
         start = np.broadcast_to(x0, (len(sequences), n_x))
         y, x = free_run(physics, sequences, start)

@@ -17,7 +17,7 @@ from pgrssnn_jax.effects.stored import read_stored, stored_physics
 from pgrssnn_jax.physics.base import Origin, Physics
 from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
-from pgrssnn_jax.records.arguments import call_with
+from pgrssnn_jax.records.arguments import call_with, typed_line
 from pgrssnn_jax.records.record import Record, Splits
 from pgrssnn_jax.training.settings import DataSettings
 
@@ -109,7 +109,7 @@ def load_physics(group: Mapping[str, Any], *, effects: Sequence[Effect] = ()) ->
     except ValueError:
         raise
     except Exception as problem:
-        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        reason = typed_line(problem)
         raise ValueError(f"physics: expected {target!r} to return a Physics, found {reason}") from problem
     check_physics(physics, target)
     if library_builder(target) is None:
@@ -154,7 +154,7 @@ def imported(target: str, where: str, expected: str) -> Any:
     try:
         return getattr(importlib.import_module(module), name)
     except Exception as problem:  # whatever a user's module does while it is imported
-        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        reason = typed_line(problem)
         raise ValueError(f"{where}: expected {expected}, found {target!r} ({reason})") from problem
 
 

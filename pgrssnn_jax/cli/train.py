@@ -23,6 +23,7 @@ from pgrssnn_jax.cli.process import Interrupted
 from pgrssnn_jax.cli.resume import override, resume_config, resumed_physics
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.models.spec import VARIANTS
+from pgrssnn_jax.physics.check import of_library
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.records.splits import by_dataset
 from pgrssnn_jax.reports.tables import member_table, output_table, summary_table
@@ -180,7 +181,7 @@ def train_run(
     checkpoints.close()
     if trained.interrupted:
         run.write_csv("history.csv", losses_table(trained.losses, plan.members))
-        own = [override("physics._target_", str(config["physics"]["_target_"]))] if _is_own(plan) else []
+        own = [override("physics._target_", str(config["physics"]["_target_"]))] if not of_library(plan.physics) else []
         again = shlex.join(["python", "train.py", override("resume", short_path(run.path)), *own])
         raise Interrupted(
             f"stopped after epoch {trained.losses.epochs} of {plan.fit.settings.epochs}; continue with: {again}"
@@ -198,11 +199,6 @@ def train_run(
         console.print(output_table(metrics))
     console.print(summary_table(metrics))
     console.print(f"run folder: {short_path(run.path)}   page: {short_path(run.path / 'report.html')}", soft_wrap=True)
-
-
-def _is_own(plan: Plan) -> bool:
-    origin = plan.physics.origin
-    return origin is None or not origin.target.startswith("pgrssnn_jax.")
 
 
 def _headline(config: Mapping[str, Any], plan: Plan) -> str:

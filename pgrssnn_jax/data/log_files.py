@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pgrssnn_jax.data.resample import Log
-from pgrssnn_jax.records.arguments import real_numbers
+from pgrssnn_jax.records.arguments import first_line, real_numbers
 from pgrssnn_jax.records.table import Table, fingerprint, numbers, read_table
 
-_LONGEST = 100  # characters of somebody else's message
 Names = str | Sequence[str]
 
 
@@ -64,8 +63,7 @@ def _from_npz(path: str | Path, columns: Columns, n: int) -> tuple[str, list[Log
         with np.load(io.BytesIO(content), allow_pickle=False) as found:
             there = {name: found[name] for name in _used(columns, found.files, n)}
     except Exception as problem:  # NumPy and zlib raise whatever a damaged file leads them to
-        reason = f"{problem}".strip() or type(problem).__name__
-        raise ValueError(f"{path}: expected a readable NPZ file, found {reason.splitlines()[0][:_LONGEST]}") from None
+        raise ValueError(f"{path}: expected a readable NPZ file, found {first_line(problem)}") from None
     arrays = {
         name: real_numbers(f"{path}: array {name!r}", values).astype(np.float64) for name, values in there.items()
     }

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.records.arguments import first_line
 from pgrssnn_jax.records.table import fingerprint
-
-_LONGEST = 100  # characters of somebody else's message
 
 
 class Sequences(NamedTuple):
@@ -66,8 +65,7 @@ def _load(path: str | Path) -> tuple[Mapping[str, Any], str]:
     try:
         found = scipy.io.loadmat(io.BytesIO(content))
     except Exception as error:  # SciPy's reader raises whatever a damaged file leads it to
-        reason = str(error).splitlines()[0][:_LONGEST] if str(error) else type(error).__name__
-        raise ValueError(f"{path}: expected a readable MAT file, found {reason}") from None
+        raise ValueError(f"{path}: expected a readable MAT file, found {first_line(error)}") from None
     return {key: value for key, value in found.items() if not key.startswith("__")}, fingerprint(content)
 
 

@@ -13,6 +13,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.check import of_library
 from pgrssnn_jax.physics.integrate import EXPLICIT
 from pgrssnn_jax.physics.simulate import free_run
 
@@ -29,7 +30,7 @@ def check_physics(setup: Setup) -> None:
         signals = record.signals(problem, 0)
         y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
         _check_free_run(problem, signals, y[0], x[0])
-        if not _of_library(setup.physics):
+        if not of_library(setup.physics):
             _check_derivatives(problem, signals, x[0])
 
 
@@ -67,16 +68,12 @@ def _of_shorter_steps(physics: Physics, signals: Signals) -> str:
     if helping is None:
         return f" (shorter steps of {method}, up to sub_steps={tried[-1]}, do not help)" if tried else ""
     # asked only where shorter steps help: an implicit step may carry a system past the time at which it has no solution
-    implicit = known in EXPLICIT and not _of_library(physics) and finite(integrator="rosenbrock")
+    implicit = known in EXPLICIT and not of_library(physics) and finite(integrator="rosenbrock")
     return (
         f" (its step of {physics.dt / steps:g} s is too long for {method}, as it is where a system is stiff: "
         f"sub_steps={helping} in place of {steps} keeps the run finite"
         f"{', and so does the implicit integrator=rosenbrock' if implicit else ''})"
     )
-
-
-def _of_library(physics: Physics) -> bool:
-    return physics.origin is not None and physics.origin.target.startswith("pgrssnn_jax.")
 
 
 def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:

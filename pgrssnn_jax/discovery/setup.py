@@ -16,10 +16,9 @@ from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.matching import matched
 from pgrssnn_jax.records.record import Record, join, take
 from pgrssnn_jax.records.splits import by_dataset, estimation_parts
-from pgrssnn_jax.training.plan import check_range
+from pgrssnn_jax.training.plan import check_range, check_size
 from pgrssnn_jax.training.settings import TrainingSettings
 
-_LARGEST = 1e18  # whose square is still a float32, in which networks are trained
 _ARM_STRETCHES = (60, 300)  # samples: while nothing is known, and beside the first effect
 _LEAST_BLOCKS = 4  # per fold
 _SHORTEST_BLOCK = 8  # samples: of shorter ones the neighbours say what is in them
@@ -159,8 +158,7 @@ def _check(physics: Physics, estimation: Record, test: Record, settings: Discove
                 if not counted.size:
                     expected = "at least one measured sample"
                     raise ValueError(f"data: {name}: {signal.name}: expected {expected}, found no measured sample")
-                if (largest := np.abs(counted).max()) > _LARGEST:
-                    raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
+                check_size(f"data: {name}", counted)
                 if counted.max() == counted.min():
                     still.append((kind, signal, counted.flat[0]))
         # Of several inputs one may stand still, a valve say: the others tell what the physics lacks.

@@ -19,7 +19,7 @@ import numpy as np
 from pgrssnn_jax.effects.base import Effect, WithEffects, effects_of, own_of
 from pgrssnn_jax.effects.systems import add_named, in_catalogue_order
 from pgrssnn_jax.physics.base import Physics, Signal
-from pgrssnn_jax.records.arguments import shown
+from pgrssnn_jax.records.arguments import shown, typed_line
 
 OF_TRAINING = ("derivatives", "physics_gradient", "backend")  # settings that leave the physics as it is
 _KEYS = ("system", "physics", "numbers", "initial_state")
@@ -85,7 +85,7 @@ def read_stored(path: Path, where: str) -> dict[str, Any]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as problem:
-        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        reason = typed_line(problem)
         raise ValueError(f"{where}: expected a discovery.json, found {str(path)!r} ({reason})") from problem
     check_keys(found, f"{where}: {path}")
     return found

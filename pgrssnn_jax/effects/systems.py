@@ -14,7 +14,7 @@ from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.check import check_given
-from pgrssnn_jax.records.arguments import check_kind, shown
+from pgrssnn_jax.records.arguments import check_kind, shown, typed_line
 
 _PARAMETERS = {"lgssm": {"A", "B", "C"}, "tanks": {"k1", "k2", "k3", "k4", "k5"}}
 _SAID_OTHERWISE = {"tanks": ("input_saturation", "input_dead_zone")}  # a pump has names of its own for these
@@ -91,7 +91,7 @@ def _added(physics: Physics, effect: Effect) -> Physics:
         said = str(problem)
         raise ValueError(said if said.startswith("effects: ") else f"{where}: {said}") from None
     except Exception as problem:  # whatever a user's function does
-        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+        reason = typed_line(problem)
         raise ValueError(f"{where}: wrap: expected it to return a Physics, found {reason}") from problem
     return found
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records.arguments import shown
+from pgrssnn_jax.records.arguments import real_numbers, shown, typed_line
 
 
 def check_physics(physics: Any, where: str) -> None:
@@ -26,8 +26,29 @@ def check_given(physics: Any) -> None:
     if not isinstance(physics, Physics):
         hint = ", which it returns when it is called" if callable(physics) else ""
         raise ValueError(f"physics: expected a pg.Physics{hint}, found {shown(physics)}")
-    if physics.origin is None or not physics.origin.target.startswith("pgrssnn_jax."):
+    if not of_library(physics):
         check_functions(physics)
+
+
+def checked_inputs(u: Any, n_u: int) -> np.ndarray:
+    """The u of a free run `[time, input]` or `[sequence, time, input]`. Raises `ValueError` for anything else."""
+    found = real_numbers("simulate: u", u)
+    if found.ndim not in (2, 3) or found.shape[-1] != n_u or not found.size:
+        raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {found.shape}")
+    return found.astype(np.float64)
+
+
+def checked_start(x0: Any, n_x: int, sequences: int) -> np.ndarray:
+    """The x_0 of a free run `[state]` or `[sequence, state]`. Raises `ValueError` for anything else."""
+    found = real_numbers("simulate: x0", x0)
+    if found.shape not in ((n_x,), (sequences, n_x)):
+        raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({sequences}, {n_x}), found {found.shape}")
+    return found.astype(np.float64)
+
+
+def of_library(physics: Physics) -> bool:
+    """Was it built by the package, and not by its user?"""
+    return physics.origin is not None and physics.origin.target.startswith("pgrssnn_jax.")
 
 
 def check_functions(physics: Physics) -> None:
@@ -39,7 +60,7 @@ def check_functions(physics: Physics) -> None:
         try:
             found = jax.eval_shape(getattr(physics, name), params, x, u)
         except Exception as problem:
-            reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
+            reason = typed_line(problem)
             raise ValueError(
                 f"physics {physics.name!r}: {name}: expected it to compute with jax.numpy from params, "
                 f"x [{sizes['states']}] and u [{sizes['inputs']}], found {reason}"

@@ -1,5 +1,5 @@
-"""What enters from outside, with one sentence for what does not fit: the arguments of a function as a group of the
-composed configuration, single values, arrays of numbers."""
+"""Checks of input: arguments from the configuration, single values, arrays of numbers. Every failure is a `ValueError`
+with one sentence."""
 
 import inspect
 import math
@@ -13,6 +13,7 @@ import numpy as np
 
 T = TypeVar("T")
 _LONGEST = 80  # characters of a value shown in a message
+_LONGEST_LINE = 100  # characters of another library's message
 
 
 def call_with(function: Callable[..., T], group: Mapping[str, Any], where: str, **more: Any) -> T:
@@ -85,6 +86,17 @@ def shown(value: Any) -> str:
         return type(value).__name__
     text = " ".join(repr(value).split())
     return text if len(text) <= _LONGEST else text[:_LONGEST] + "…"
+
+
+def first_line(problem: BaseException) -> str:
+    """The first line of another library's exception, at most 100 characters; its type where it has no text."""
+    text = str(problem).strip()
+    return text.splitlines()[0][:_LONGEST_LINE] if text else type(problem).__name__
+
+
+def typed_line(problem: BaseException) -> str:
+    """The same after the type of the exception."""
+    return f"{type(problem).__name__}: {problem}".splitlines()[0]
 
 
 def check_kind(where: str, value: Any, kind: Any, expected: str) -> None:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.physics.base import Physics
-from pgrssnn_jax.records.arguments import check_kind, real_numbers, shown
+from pgrssnn_jax.physics.check import checked_inputs, checked_start
+from pgrssnn_jax.records.arguments import check_kind, shown
 from pgrssnn_jax.records.record import Array, Record, RecordInfo
 from pgrssnn_jax.reports.markup import html, tag
 from pgrssnn_jax.reports.prediction import compared, prediction_figure
@@ -113,9 +114,7 @@ class Ensemble:
         result to a `Simulated`. Raises `ValueError` for other shapes, for inputs that are not finite, where training
         knew no start, and where no interval was calibrated.
         """
-        u, n_u = real_numbers("simulate: u", u), len(self.physics.inputs)
-        if u.ndim not in (2, 3) or u.shape[-1] != n_u or not u.size:
-            raise ValueError(f"simulate: u: expected [time, {n_u}] or [sequence, time, {n_u}], found shape {u.shape}")
+        u = checked_inputs(u, len(self.physics.inputs))
         if not np.isfinite(u).all():
             raise ValueError("simulate: u: expected finite numbers, found NaN or infinity")
         sequences = u if u.ndim == 3 else u[None]
@@ -134,9 +133,7 @@ class Ensemble:
         return found if u.ndim == 3 else Simulated(y[:, 0], *(a[0] for a in found[1:]))
 
     def _given_start(self, x0: Array, sequences: int) -> Float[np.ndarray, "*seq x"]:
-        found, n_x = real_numbers("simulate: x0", x0), self.model.n_x
-        if found.shape not in ((n_x,), (sequences, n_x)):
-            raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({sequences}, {n_x}), found {found.shape}")
+        found = checked_start(x0, self.model.n_x, sequences)
         if not np.isfinite(found).all():
             raise ValueError("simulate: x0: expected finite numbers, found NaN or infinity")
         return found
@@ -258,7 +255,6 @@ class Ensemble:
         with locked(run.path):
             run.begin(self._config_text(), command="pg.fit", data=data, physics=physics_to_json(physics))
             checkpoints = CheckpointFolder(run.checkpoint)
-            checkpoints.clear()
             checkpoints.save(Checkpoint(self.trained.state, self.trained.scaling, self.trained.units, self.losses))
             checkpoints.close()
             self.finish(run, found)

@@ -47,13 +47,12 @@ def verify(folder: str | Path) -> Verified:
     if missing := [name for name in _NEEDED if name not in arrays]:
         raise ValueError(f"{folder}: predictions.npz: expected the array {missing[0]!r}, found {sorted(arrays)}")
     shared = bool(np.isfinite(arrays["ensemble_mean"]).any())
-    kept = [
-        i for i, row in enumerate(rows) if row["status"] == "ok" and (shared or row["dataset"] == rows[0]["dataset"])
-    ]
+    of_first = [i for i, row in enumerate(rows) if shared or row["dataset"] == rows[0]["dataset"]]
+    kept = [i for i in of_first if rows[i].get("status") == "ok" and isinstance(rows[i].get("by_n_init"), dict)]
     if not kept or len(arrays["y_hat"]) != len(rows):
         raise ValueError(
-            f"{folder}: metrics.json: members: expected one that has not failed, each with a prediction, found "
-            f"{len(kept)} of {len(rows)} with {len(arrays['y_hat'])} predictions"
+            f"{folder}: metrics.json: members: expected figures of one that has not failed, and a prediction of each, "
+            f"found {len(kept)} with figures of {len(rows)} with {len(arrays['y_hat'])} predictions"
         )
     test: Record = build_record(arrays["u"], arrays["y"], ensemble.info, arrays["mask"])
     again = ensemble.evaluate(test)

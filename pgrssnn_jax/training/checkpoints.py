@@ -13,10 +13,10 @@ import jax
 import numpy as np
 import orbax.checkpoint as ocp
 
+from pgrssnn_jax.records.arguments import first_line
 from pgrssnn_jax.records.scaling import Scaling, Units
 from pgrssnn_jax.training.loop import Losses, no_losses
 from pgrssnn_jax.training.optimise import MemberState
-from pgrssnn_jax.training.run_folder import first_line
 
 
 class Checkpoint(NamedTuple):
@@ -79,11 +79,6 @@ class CheckpointFolder:
         if not isinstance(found, Mapping) or not all(isinstance(part, Mapping) for part in found.values()):
             raise ValueError(f"checkpoint: expected a whole one in {str(self._manager.directory)!r}, found {found}")
         return found
-
-    def clear(self) -> None:
-        """Forgets the checkpoints of an earlier run in the same folder."""
-        for epoch in self._manager.all_steps():
-            self._manager.delete(epoch)
 
     def close(self) -> None:
         self._manager.close()

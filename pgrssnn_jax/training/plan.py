@@ -13,7 +13,7 @@ from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.physics.base import Physics, Signal, measured_rate
 from pgrssnn_jax.records.matching import matched
-from pgrssnn_jax.records.record import Record, cast, take
+from pgrssnn_jax.records.record import Array, Record, cast, take
 from pgrssnn_jax.records.scaling import Units, in_units, measured_units, standard_units
 from pgrssnn_jax.records.splits import by_dataset, cut_windows, estimation_parts, kfold_masks
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, map_members
@@ -145,9 +145,8 @@ def check_record(name: str, record: Record, initial: InitialState, physics: Phys
         raise ValueError(f"data.{name}: expected at least one measured output, found none in {record.info.origin}")
     for k, signal in enumerate(physics.outputs):
         check_range(f"data: {name}", signal, np.asarray(record.y)[..., k][mask[..., k]])
-    for signal in (record.u, np.where(mask, record.y, 0.0)):
-        if (largest := np.abs(signal).max()) > _LARGEST:
-            raise ValueError(f"data: {name}: expected values up to {_LARGEST:g}, found {largest:g}")
+    for values in (record.u, np.where(mask, record.y, 0.0)):
+        check_size(f"data: {name}", values)
     if searched and initial.trained and time <= initial.n_init:
         raise ValueError(f"n_init: expected fewer than the {time} samples of the {name} record, found {initial.n_init}")
 
@@ -163,6 +162,12 @@ def _check_varies(train: Record) -> None:
         raise ValueError(
             f"data: train: expected an output that varies, found {value} everywhere in {train.info.origin}"
         )
+
+
+def check_size(where: str, values: Array) -> None:
+    """Raises `ValueError` for values whose squares no float32 holds."""
+    if (largest := np.abs(values).max()) > _LARGEST:
+        raise ValueError(f"{where}: expected values up to {_LARGEST:g}, found {largest:g}")
 
 
 def check_range(where: str, signal: Signal, values: np.ndarray) -> None:

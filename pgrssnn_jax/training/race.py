@@ -132,7 +132,7 @@ def clearly_better(tried: Sequence[Tried], least: float) -> Tried:
 def _gentlest(kind: Sequence[Tried]) -> Tried:
     best = min(kind, key=lambda one: one.score)
     as_good = [one for one in kind if one.epochs == best.epochs and not _beats(best, one, 0.0)]
-    return min([best, *as_good], key=lambda one: (one.settings.model.correction, one.score))
+    return min(as_good, key=lambda one: (one.settings.model.correction, one.score))
 
 
 def _beats(other: Tried, simpler: Tried, least: float) -> bool:

@@ -27,12 +27,13 @@ import yaml
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from pgrssnn_jax.records.arguments import first_line
+
 _GROUPS = ("physics", "data", "model", "fit", "members")  # of every configuration of training
 _RESULTS = (
     "DONE", "FAILED", "traceback.txt", "metrics.json", "predictions.npz", "intervals.npz", "history.csv", "report.html",
     "discovery.json", "discovery.npz",
 )  # fmt: skip
-_LONGEST = 100  # characters of somebody else's message
 _PACKAGES = ("jax", "jaxlib", "flax", "optax", "orbax-checkpoint", "hydra-core", "numpy", "scipy", "pin")
 
 
@@ -178,12 +179,6 @@ class RunFolder:
         if self.checkpoint.exists():
             self.checkpoint.rename(removed)
             shutil.rmtree(removed, ignore_errors=True)
-
-
-def first_line(problem: BaseException) -> str:
-    """What somebody else's exception says, short and on one line; its type where it says nothing."""
-    text = str(problem).strip()
-    return text.splitlines()[0][:_LONGEST] if text else type(problem).__name__
 
 
 def environment() -> dict[str, Any]:

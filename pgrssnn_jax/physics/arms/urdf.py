@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin  # pyright: ignore[reportMissingImports] - its files are in a folder of their own
 
 from pgrssnn_jax.physics.arms.tables import ArmTables, tables_of
+from pgrssnn_jax.records.arguments import first_line
 
 
 def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
@@ -27,8 +28,8 @@ def read_urdf(file: str | Path, lock: Sequence[str] = ()) -> ArmTables:
         with _silence():  # the parser writes lines of its own
             model = pin.buildModelFromUrdf(str(path), mimic=True)
     except Exception as problem:  # Pinocchio's parser raises what it likes
-        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else type(problem).__name__
-        raise ValueError(f"physics.urdf: {file}: expected a URDF that Pinocchio can read, found {reason}") from None
+        expected = "a URDF that Pinocchio can read"
+        raise ValueError(f"physics.urdf: {file}: expected {expected}, found {first_line(problem)}") from None
     names = list(model.names)[1:]
     if isinstance(lock, str):
         raise ValueError(f"physics.lock: expected a list of joint names, [{lock}] say, found {lock!r}")
