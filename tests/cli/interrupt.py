@@ -8,7 +8,8 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -128,19 +129,35 @@ def fill_disk(process: subprocess.Popen, work: Path) -> Callable[[], object]:
 
 
 def make_read_only(process: subprocess.Popen, work: Path) -> Callable[[], object]:
-    """By permissions or, for root, whom they do not stop, by the flag of the file system."""
+    """By permissions; for root, whom they do not stop, by the flag of the file system, or by a read-only mount of the
+    folder onto itself where the file system has no such flag."""
+    folder, root = str(work), os.geteuid() == 0
+    ways = [
+        ([["chattr", "-R", "-f", "+i", folder]], [["chattr", "-R", "-f", "-i", folder]]),
+        ([["mount", "--bind", folder, folder], ["mount", "-o", "remount,bind,ro", folder]], [["umount", "-l", folder]]),
+    ]
+    for begin, end in (
+        ways if root else [([["chmod", "-R", "-f", "a-w", folder]], [["chmod", "-R", "-f", "u+w", folder]])]
+    ):
+        _run(begin)
+        if not _writable(work):
+            return partial(_run, end)
+        _run(end)
+    raise AssertionError(f"{work}: expected that permissions, chattr or mount make it read-only, found it writable")
 
-    def changed(plus: bool) -> None:
-        mode = ["chattr", "-R", "-f", "+i" if plus else "-i"] if os.geteuid() == 0 else ["chmod", "-R", "-f"]
-        mode += [] if os.geteuid() == 0 else ["a-w" if plus else "u+w"]
-        subprocess.run([*mode, str(work)], check=False, capture_output=True)  # files may vanish while it walks
 
-    changed(True)
-    with contextlib.suppress(OSError):
-        (work / "probe").touch()
-        changed(False)
-        pytest.skip("no folder can be made read-only here")
-    return lambda: changed(False)
+def _run(commands: Sequence[Sequence[str]]) -> None:
+    for command in commands:
+        subprocess.run(command, check=False, capture_output=True)  # files may vanish while it walks
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        (folder / "probe").touch()
+    except OSError:
+        return False
+    (folder / "probe").unlink()
+    return True
 
 
 def take_memory(process: subprocess.Popen, work: Path) -> Callable[[], object]:
