@@ -50,7 +50,7 @@ test-latest test-oldest: test-%:
 
 mutants: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check cosmic-ray
-	$(BIN)/python benchmarks/mutants.py
+	$(BIN)/python tests/mutants.py
 
 audit: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-audit

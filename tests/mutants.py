@@ -1,6 +1,6 @@
 """Would the tests notice? Small faults put into the code one at a time, and the tests run that look at it.
 
-    python benchmarks/mutants.py --count 300 --seed 0 --out mutants.json
+    python tests/mutants.py --count 300 --seed 0 --out mutants.json
 
 A mutant is one change by an operator of cosmic-ray (another operator or number, a negated condition, a removed
 decorator). They are drawn at random from `ROOMS`, each place at most once; annotations are left alone. A mutant is
