@@ -14,6 +14,8 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Float
 
+from pgrssnn_jax.acceleration.native import native_gru_scan
+
 
 def gru_step(
     kernel: Float[jax.Array, "hidden gates"],
@@ -123,8 +125,14 @@ class GRU(nnx.Module):
     def step(self, h: Float[jax.Array, "seq hidden"], projected: Float[jax.Array, "seq gates"]) -> jax.Array:
         return gru_step(*self._recurrent(), h, projected)[0]
 
-    def scan(self, projected: Float[jax.Array, "time seq gates"]) -> Float[jax.Array, "time seq hidden"]:
-        return gru_scan(*self._recurrent(), projected)
+    def scan(
+        self, projected: Float[jax.Array, "time seq gates"], *, native: bool = False
+    ) -> Float[jax.Array, "time seq hidden"]:
+        """native: by the C++ kernel, which computes in float32; other precisions take the scan."""
+        kernel, bias = self._recurrent()
+        if not native or projected.dtype != jnp.float32:
+            return gru_scan(kernel, bias, projected)
+        return native_gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected)
 
     def _recurrent(self) -> tuple[jax.Array, jax.Array | None]:
         return self.hidden_kernel[...], None if self.hidden_bias is None else self.hidden_bias[...]

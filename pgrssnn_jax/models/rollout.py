@@ -1,24 +1,27 @@
 """Free run of a model: outputs predicted from the inputs and an initial state, nothing measured fed in.
 
-Two routes with equal results (to rounding):
+Three routes with equal results (to rounding):
     fused  one scan whose body does physics, GRU and networks; needed when the state is fed back
     split  without feedback f_nn depends on u alone: feature layers, input projections, heads and measurement networks
            are batched over time, and only the GRU recurrence and the physics step stay in scans
+    native split, with the GRU recurrence in a C++ kernel (`acceleration/native.py`)
 """
 
+from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from pgrssnn_jax.acceleration.native import missing_kernel
 from pgrssnn_jax.models.gru import delayed
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.models.networks import Networks
 from pgrssnn_jax.records.arguments import check_kind
 from pgrssnn_jax.records.record import Array
 
-Route = Literal["fused", "split"]
+Route = Literal["fused", "split", "native"]
 
 
 class Trajectory(NamedTuple):
@@ -44,12 +47,15 @@ def rollout(
     The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
     leaves the floating-point range does not raise; it is reported in `first_bad`. valid (`records.valid_mask`): where
     it is False the state is held, so that padding can neither fail nor spoil a gradient. Raises `ValueError` for an
-    unknown route, if `split` is asked of a model with feedback, and for shapes that are not those of the model.
+    unknown route or one that is not to be had, if another than `fused` is asked of a model with feedback, and for
+    shapes that are not those of the model.
     """
-    if route not in (None, "fused", "split"):
-        raise ValueError(f"rollout: route: expected 'fused', 'split' or None, found {route!r}")
-    if route == "split" and model.spec.feedback:
-        raise ValueError("rollout: route: expected 'fused' for a model with state feedback, found 'split'")
+    if route not in (None, "fused", "split", "native"):
+        raise ValueError(f"rollout: route: expected 'fused', 'split', 'native' or None, found {route!r}")
+    if route in ("split", "native") and model.spec.feedback:
+        raise ValueError(f"rollout: route: expected 'fused' for a model with state feedback, found {route!r}")
+    if route == "native" and (missing := missing_kernel()):
+        raise ValueError(f"rollout: route: expected 'split' or None here, found 'native': {missing}")
     check_kind("rollout: model", model, Model, "a model, ensemble.model say")
     u, x0 = jnp.asarray(u), jnp.asarray(x0)
     x0 = x0 if jnp.issubdtype(x0.dtype, jnp.floating) else x0.astype(jnp.float32)
@@ -59,7 +65,8 @@ def rollout(
     u_time = jnp.swapaxes(u, 0, 1)
     fused = route == "fused" or model.spec.feedback
     held = None if valid is None else ~jnp.swapaxes(jnp.asarray(valid), 0, 1)
-    x_time = (_fused if fused else _split)(model, params, networks, u_time, x0, held)
+    run = _fused if fused else partial(_split, native=route == "native")
+    x_time = run(model, params, networks, u_time, x0, held)
     read = x_time if model.physics.output_timing == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])
     y_time = _measure(model, params, networks, read, u_time)
     x, y = jnp.swapaxes(x_time, 0, 1), jnp.swapaxes(y_time, 0, 1)
@@ -121,7 +128,14 @@ def _fused(
 
 
 def _split(
-    model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array, held: jax.Array | None
+    model: Model,
+    params: ModelParams,
+    networks: Networks | None,
+    u: jax.Array,
+    x0: jax.Array,
+    held: jax.Array | None,
+    *,
+    native: bool,
 ) -> jax.Array:
     """x `[time, seq, x]` with everything but the two recurrences batched over time."""
     if networks is None:
@@ -130,7 +144,7 @@ def _split(
         phi = networks.features_u(params.scaling.u.to_scaled(u))
         states = phi
         for layer in networks.gru:
-            states = layer.scan(layer.project(states))
+            states = layer.scan(layer.project(states), native=native)
         h_before = delayed(states) if len(networks.gru) else None
         correction = params.scaling.x.unscale_difference(model.whole(networks.f_nn(h_before, phi)))
     if not model.spec.guided:

@@ -80,7 +80,7 @@ def load(
     n_sequences = metrics.get("n_sequences", 1)  # decides how members are mapped, and so the last bits
     if type(n_sequences) is not int or n_sequences < 1:
         raise ValueError(f"{folder}: metrics.json: n_sequences: expected 1 or more, found {shown(n_sequences)}")
-    mapping = member_mapping(settings.members, count, n_sequences, accelerate=settings.run.accelerate)
+    mapping = member_mapping(settings, count, n_sequences)
     trained = Trained(fit.objective, mapping, members, found.state, found.scaling, found.units, start)
     inputs, outputs = (tuple(Channel(s.name, s.unit) for s in signals) for signals in (chosen.inputs, chosen.outputs))
     info = RecordInfo(inputs, outputs, chosen.dt, metrics.get("source", "file"), metrics.get("origin", str(folder)))

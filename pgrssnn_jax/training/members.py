@@ -100,8 +100,9 @@ def select(tree: Any, member: int) -> Any:
     return jax.tree.map(lambda a: a[member], tree)
 
 
-def choose_mapping(n_members: int, n_sequences: int, devices: int) -> MemberMapping:
+def choose_mapping(n_members: int, n_sequences: int, devices: int, *, native: bool = False) -> MemberMapping:
     """The mapping that `benchmarks/rollout.py` finds fastest: on CPUs one after another when each member already has
-    a batch of sequences to multiply with (LGSSM: 31), all at once when each has a single long one (tanks)."""
-    how = "loop" if n_sequences >= 8 and jax.default_backend() == "cpu" else "vmap"
+    a batch of sequences to multiply with (LGSSM: 31) or its recurrence is native, all at once when each has a single
+    long one (tanks)."""
+    how = "loop" if native or (n_sequences >= 8 and jax.default_backend() == "cpu") else "vmap"
     return MemberMapping(how, devices=min(devices, n_members))

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from pgrssnn_jax.acceleration.native import missing_kernel
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
+from pgrssnn_jax.models.rollout import Route
 from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.physics.base import Physics, Signal, measured_rate
 from pgrssnn_jax.records.matching import matched
@@ -19,7 +21,7 @@ from pgrssnn_jax.records.splits import by_dataset, cut_windows, estimation_parts
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, map_members
 from pgrssnn_jax.training.objective import MemberData, Objective, build_objective
 from pgrssnn_jax.training.optimise import Fit
-from pgrssnn_jax.training.settings import MemberSettings, TrainingSettings
+from pgrssnn_jax.training.settings import TrainingSettings
 
 _LARGEST = 1e18  # whose square is still a float32
 
@@ -85,7 +87,7 @@ def plan_training(
     scaling = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
     own, other = (cast(record, np.float32) for record in _per_member(own, other, members, settings, one_record))
     data = MemberData(own, other, scaling, np.full(len(members), settings.fit.epochs, np.int32))
-    mapping = member_mapping(settings.members, len(members), data.train.u.shape[1], accelerate=settings.run.accelerate)
+    mapping = member_mapping(settings, len(members), data.train.u.shape[1])
     _, measured = _per_member(fitted, aside, members, settings, one_record)
     own_units = jax.tree.map(lambda a: a[datasets], units)
     return Plan(settings, fit, mapping, members, fitted, measured, data, own_units)
@@ -101,7 +103,22 @@ def plan_fit(physics: Physics, settings: TrainingSettings, *, shared: bool) -> F
             f"physics.physics_gradient: expected full with {what}, which needs the gradient, found stopped"
         )
     model = build_model(settings.model, physics)
-    return Fit(build_objective(model, initial, train_physics=train_physics), settings.fit)
+    route = chosen_route(settings)
+    return Fit(build_objective(model, initial, train_physics=train_physics, route=route), settings.fit)
+
+
+def chosen_route(settings: TrainingSettings) -> Route | None:
+    """The route of a rollout for `members.recurrence`; None: the fastest in XLA.
+
+    Raises `ValueError` for `native` where the kernel cannot be had; `auto` does without it.
+    """
+    spec, asked = settings.model, settings.members.recurrence
+    if asked == "xla" or not settings.run.accelerate or not (spec.networks and spec.recurrent) or spec.feedback:
+        return None
+    missing = missing_kernel()
+    if missing and asked == "native":
+        raise ValueError(f"members.recurrence: expected xla or auto here, found native: {missing}")
+    return None if missing else "native"
 
 
 def member_tests(
@@ -123,12 +140,13 @@ def member_tests(
     return MemberTests(measured, cast(own, np.float32), _windows_to_report(initial, wanted, test))
 
 
-def member_mapping(chosen: MemberSettings, n_members: int, n_sequences: int, *, accelerate: bool) -> MemberMapping:
-    """`auto` is resolved by what the benchmark found: see `members.choose_mapping`; accelerate: False for one device
+def member_mapping(settings: TrainingSettings, n_members: int, n_sequences: int) -> MemberMapping:
+    """`auto` is resolved by what the benchmark found: see `members.choose_mapping`. With `accelerate=false` one device
     and no options of the compiler."""
-    best = choose_mapping(n_members, n_sequences, jax.device_count())
+    chosen = settings.members
+    best = choose_mapping(n_members, n_sequences, jax.device_count(), native=chosen_route(settings) == "native")
     how = best.how if chosen.how == "auto" else chosen.how
-    if not accelerate:
+    if not settings.run.accelerate:
         return MemberMapping(how, chosen.sub_batch)
     devices = best.devices if chosen.devices == "auto" else chosen.devices
     mapping = MemberMapping(how, chosen.sub_batch, devices, chosen.optimisation)

@@ -99,6 +99,9 @@ class MemberSettings:
     sub_batch: int | None = None  # members per vmap; None: all
     devices: int | Literal["auto"] = "auto"  # JAX devices over which members are sharded
     optimisation: int | None = None  # of machine code: 0 (compiles fast, runs slower) to 3; None: compiler's
+    # of the GRU: XLA's scan, or a C++ kernel that is faster and equal to rounding, compiled at its first use;
+    # auto: the kernel where there is a compiler. Thousands of epochs magnify rounding: the published runs rest on xla
+    recurrence: Literal["xla", "native", "auto"] = "xla"
 
 
 class TrainingSettings(NamedTuple):

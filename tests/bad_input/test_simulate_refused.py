@@ -176,7 +176,7 @@ OF_MEMBERS = {
     "an interval in per cent": (lambda e: e.simulate(U, interval=90), "interval: expected a level between 0 and 1"),
     "a route that there is not": (
         lambda e: rolled(e, route="fast"),
-        "rollout: route: expected 'fused', 'split' or None",
+        "rollout: route: expected 'fused', 'split', 'native' or None",
     ),
     "a run without its sequences": (lambda e: rolled(e, U), "rollout: u: expected [sequence, time, 1]"),
     "a run of two channels": (lambda e: rolled(e, np.zeros((1, 5, 2))), "rollout: u: expected [sequence, time, 1]"),

@@ -1,4 +1,4 @@
-"""The two routes of a rollout give the same numbers, gradients and precision."""
+"""The routes of a rollout give the same numbers, gradients and precision."""
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ from toys import (
     toy_signals,
 )  # fmt: skip
 
+from pgrssnn_jax.acceleration.native import missing_kernel
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
 
@@ -26,13 +27,18 @@ SPECS = {
 }
 
 
+#: the first one is compared with all others
+ROUTES = ("fused", "split", *(["native"] if missing_kernel() is None else []))
+
+
 @pytest.mark.parametrize("fields", SPECS.values(), ids=SPECS)
 def test_routes_agree_in_single_precision(key, fields):
     model = toy_model(fields)
     params, (u, x0) = toy_params(model, key), toy_signals()
-    fused, split = (compiled_rollout(model, route)(params, u, x0) for route in ("fused", "split"))
-    for a, b in zip(fused, split, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
+    fused, *others = (compiled_rollout(model, route)(params, u, x0) for route in ROUTES)
+    for other in others:
+        for a, b in zip(fused, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
 
 
 @pytest.mark.parametrize("name", ["two layers with biases", "RSSNN-sgm", "dense", "physics"])
@@ -47,8 +53,10 @@ def test_gradients_of_the_routes_agree(key, name):
 
         return jax.tree.leaves(quick_jit(jax.grad(loss, (0, 1, 2)))(params, u, x0))
 
-    for a, b in zip(slopes("fused"), slopes("split"), strict=True):
-        np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
+    fused, *others = map(slopes, ROUTES)
+    for other in others:
+        for a, b in zip(fused, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
 
 
 @pytest.mark.usefixtures("x64")

@@ -15,6 +15,7 @@ from pgrssnn_jax.records.build import record_from
 from pgrssnn_jax.records.record import Record, crop, stack
 from pgrssnn_jax.training.members import Member
 from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests, plan_training
+from pgrssnn_jax.training.recipes import DEFAULT, RECIPES
 from pgrssnn_jax.training.settings import training_settings
 
 TANKS = cascaded_tanks()._replace(outputs=(Signal("level_voltage", "V", range=(-1.0, 20.0)),))
@@ -154,3 +155,33 @@ def test_without_acceleration_one_device_maps_the_members():
     found = plan(accelerate=False)
     assert found.mapping.devices == 1
     assert plan(devices=2).mapping.devices == 2
+
+
+def test_own_data_takes_the_kernel_where_there_is_one_and_benchmarks_keep_xla(monkeypatch):
+    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernel", lambda: None)
+    assert plan().fit.objective.route is None
+    own = training_settings("pg_rssnn", DEFAULT.settings(discovered=False))
+    assert own.members.recurrence == "auto"
+    assert plan(recurrence="auto").fit.objective.route == "native"
+    assert plan(recurrence="auto").mapping.how == "loop"
+    for name, recipe in RECIPES.items():
+        for discovered in (False, True):
+            assert "recurrence" not in recipe.settings(discovered=discovered), name
+
+
+@pytest.mark.parametrize(
+    ("model", "settings"),
+    [("pg_rssnn", {"accelerate": False}), ("pg_rssnn_fb", {}), ("pg_fcssnn", {}), ("physics_only", {}), ("w_pgnn", {})],
+)
+def test_what_has_no_recurrence_of_its_own_or_no_acceleration_takes_xla(monkeypatch, model, settings):
+    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernel", lambda: None)
+    assert plan(model=model, recurrence="native", **settings).fit.objective.route is None
+
+
+def test_a_kernel_that_is_missing_is_done_without_or_named(monkeypatch):
+    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernel", lambda: "no C++ compiler found")
+    assert plan(recurrence="auto").fit.objective.route is None
+    with pytest.raises(ValueError, match="members.recurrence: expected xla or auto here, found native: no C"):
+        plan(recurrence="native")
+    with pytest.raises(ValueError, match=r"members.recurrence: expected .*, found .torch"):
+        plan(recurrence="torch")

@@ -1,0 +1,109 @@
+"""The C++ recurrence against the scan of `models/gru.py`: values, gradients, failures, members, machines without it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+from pgrssnn_jax.acceleration.native import missing_kernel, native_gru_scan
+from pgrssnn_jax.models.gru import gru_scan
+
+needs_kernel = pytest.mark.skipif(missing_kernel() is not None, reason=f"no kernel: {missing_kernel()}")
+
+
+def weights(hidden, time, sequences, *members, seed=0):
+    keys = jax.random.split(jax.random.key(seed), 3)
+    kernel = jax.random.normal(keys[0], (*members, hidden, 3 * hidden)) * hidden**-0.5
+    bias = 0.3 * jax.random.normal(keys[1], (*members, 3 * hidden))
+    return kernel, bias, jax.random.normal(keys[2], (*members, time, sequences, 3 * hidden))
+
+
+def gradients(scan, arrays):
+    """Of a sum in which every state has its own weight."""
+    return jax.jit(jax.grad(lambda a: jnp.sum(jnp.sin(3.0 * scan(*a)) ** 2)))(arrays)
+
+
+# units: the two published sizes, one that fills no vector, one that fills some and leaves a rest; sequences: fewer and
+# more than the rows of a block (4, 8) and of a chunk (64); time: a whole chunk, parts of one, a single step
+@needs_kernel
+@pytest.mark.parametrize("hidden", [16, 64, 5, 22])
+@pytest.mark.parametrize(("time", "sequences"), [(1, 1), (130, 1), (64, 1), (9, 13), (3, 70)])
+def test_values_and_gradients_are_those_of_the_scan(hidden, time, sequences):
+    arrays = weights(hidden, time, sequences)
+    np.testing.assert_allclose(native_gru_scan(*arrays), gru_scan(*arrays), rtol=0, atol=2e-6)
+    for found, expected in zip(gradients(native_gru_scan, arrays), gradients(gru_scan, arrays), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
+
+
+@needs_kernel
+def test_gradients_are_those_of_finite_differences():
+    def scan(*arrays):
+        return native_gru_scan(*map(jnp.asarray, arrays))
+
+    check_grads(scan, weights(6, 5, 2), order=1, modes=["rev"], rtol=2e-2, atol=2e-2, eps=1e-2)
+
+
+@needs_kernel
+def test_gates_that_saturate_stay_finite_and_right():
+    kernel, bias, projected = weights(16, 20, 3)
+    projected = 200.0 * projected
+    np.testing.assert_allclose(
+        native_gru_scan(kernel, bias, projected), gru_scan(kernel, bias, projected), rtol=0, atol=2e-6
+    )
+    assert all(np.isfinite(g).all() for g in gradients(native_gru_scan, (kernel, bias, projected)))
+
+
+@needs_kernel
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_shows_from_its_sample_on(bad):
+    kernel, bias, projected = weights(16, 12, 2)
+    states = native_gru_scan(kernel, bias, projected.at[7, 1, 3].set(bad).at[7, 1, 35].set(np.nan))
+    assert np.isfinite(states[:7]).all()
+    assert np.isfinite(states[:, 0]).all()
+    assert not np.isfinite(states[7:, 1]).all(-1).any()
+
+
+@needs_kernel
+@pytest.mark.parametrize("how", ["vmap", "map"])
+def test_members_are_computed_as_if_alone(how):
+    arrays = weights(16, 30, 2, 3)
+    mapped = jax.vmap(native_gru_scan) if how == "vmap" else lambda *a: jax.lax.map(lambda b: native_gru_scan(*b), a)
+    together = jax.jit(mapped)(*arrays)
+    for i in range(3):
+        np.testing.assert_array_equal(together[i], native_gru_scan(*(a[i] for a in arrays)))
+
+
+@needs_kernel
+def test_members_may_share_their_weights():
+    kernel, bias, projected = weights(16, 30, 2)
+    projected = jnp.stack([projected, -projected])
+    found = jax.vmap(native_gru_scan, (None, None, 0))(kernel, bias, projected)
+    np.testing.assert_array_equal(found[1], native_gru_scan(kernel, bias, projected[1]))
+
+
+def test_a_machine_without_a_compiler_says_so(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CXX", raising=False)
+    assert missing_kernel.__wrapped__() == "no C++ compiler found (CXX, c++, g++, clang++)"
+
+
+def test_a_compiler_that_fails_is_no_kernel(monkeypatch, tmp_path):
+    compiler = tmp_path / "broken"
+    compiler.write_text(
+        '#!/bin/sh\n[ "$1" = --version ] && echo 1.0 || { echo "gru.cc:1: no such thing" >&2; exit 1; }\n'
+    )
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CXX", str(compiler))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert missing_kernel.__wrapped__() == f"{compiler} does not compile the C++ kernel: gru.cc:1: no such thing"
+    assert list((tmp_path / "cache/pgrssnn_jax/native").iterdir()) == []
+
+
+def test_a_cache_folder_that_cannot_be_written_is_no_kernel(monkeypatch, tmp_path):
+    blocked = tmp_path / "cache"
+    blocked.write_text("a file, where a folder is needed")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
+    if missing_kernel() is not None:
+        pytest.skip("no compiler")
+    assert "cannot be compiled or loaded" in missing_kernel.__wrapped__()
