@@ -1,9 +1,8 @@
-"""The recurrence of a GRU as a C++ kernel, compiled once on the machine that runs it.
+"""The GRU recurrence and the dense layers as C++ kernels, compiled once on the machine that runs them.
 
 XLA runs a scan over small matrices step by step through its runtime: for 16 units a step takes ten times longer than
-its arithmetic. The kernel (`gru.cc`) takes a whole sequence at once. Its results agree with `models/gru.py` to
-rounding. Measured on two cores: gradient of 768 steps of 16 units 1.31 -> 0.25 ms, of ten members 5.1 -> 1.9 ms; 605
-steps of 60 sequences and 64 units 80 -> 48 ms, on one core instead of two.
+its arithmetic. The kernels (`kernels/*.cc`) take a whole sequence at once, and keep no intermediate results for the
+gradient. They agree with `models/gru.py` and `models/networks.py` to rounding.
 """
 
 import ctypes
@@ -13,7 +12,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -23,46 +22,50 @@ from jaxtyping import Float
 
 from pgrssnn_jax.acceleration.devices import cache_folder
 
-_SOURCE = Path(__file__).with_name("gru.cc")
+_KERNELS = Path(__file__).with_name("kernels")
 # no -ffast-math: NaN must stay NaN, and it would change the floating-point mode of the whole process
 _FLAGS = ("-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 _COMPILERS = ("c++", "g++", "clang++")
-_PATIENCE = 300  # seconds for the compiler, which takes 3 to 12
-_TARGETS = ("pgrssnn_gru_forward", "pgrssnn_gru_backward")
+_PATIENCE = 300  # seconds for the compiler, which takes 5 to 15
+_TARGETS = ("gru_forward", "gru_backward", "two_dense_forward", "two_dense_backward")
 
 
 @cache
-def missing_kernel() -> str | None:
-    """None once the kernel is compiled and known to JAX, else why it cannot be had: one phrase."""
+def missing_kernels() -> str | None:
+    """None once the kernels are compiled and known to JAX, else why they cannot be had: one phrase."""
     if jax.default_backend() != "cpu":
-        return f"the C++ kernel runs on CPUs, and JAX computes on {jax.default_backend()}"
+        return f"the C++ kernels run on CPUs, and JAX computes on {jax.default_backend()}"
     compiler = next(filter(None, map(shutil.which, filter(None, (os.environ.get("CXX"), *_COMPILERS)))), None)
     if compiler is None:
         return f"no C++ compiler found (CXX, {', '.join(_COMPILERS)})"
     try:
         library = ctypes.CDLL(str(_compiled(compiler)))
         for name in _TARGETS:
-            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, name)), platform="cpu")
+            handler = jax.ffi.pycapsule(getattr(library, f"pgrssnn_{name}"))
+            jax.ffi.register_ffi_target(f"pgrssnn_{name}", handler, platform="cpu")
     except subprocess.CalledProcessError as error:
-        return f"{compiler} does not compile the C++ kernel: {error.stderr.strip().splitlines()[0]}"
+        return f"{compiler} does not compile the C++ kernels: {error.stderr.strip().partition(os.linesep)[0]}"
     except (OSError, subprocess.TimeoutExpired) as error:
-        return f"the C++ kernel cannot be compiled or loaded: {error}"
+        return f"the C++ kernels cannot be compiled or loaded: {error}"
     return None
 
 
 def _compiled(compiler: str) -> Path:
-    """The library for this source, compiler, processor and JAX, compiled if it is not in the user's cache folder."""
+    """The library for these sources, compiler, processor and JAX, compiled if the user's cache folder lacks it."""
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True, timeout=_PATIENCE)
-    parts = (_SOURCE.read_text(), version.stdout, jax.__version__, " ".join(_FLAGS), _processor())
+    files = sorted(_KERNELS.iterdir())
+    texts = [file.read_text() for file in files if file.suffix in (".cc", ".h")]
+    parts = (*texts, version.stdout, jax.__version__, *_FLAGS, _processor())
     name = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-    library = cache_folder() / "native" / f"gru-{name}.so"
+    library = cache_folder() / "native" / f"kernels-{name}.so"
     if library.exists():
         return library
     library.parent.mkdir(parents=True, exist_ok=True)
+    sources = [str(file) for file in files if file.suffix == ".cc"]
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:  # a killed compiler leaves no half library behind
         made = Path(folder) / library.name
         include = ("-isystem", jax.ffi.include_dir())
-        command = [compiler, *_FLAGS, *include, "-shared", "-fPIC", str(_SOURCE), "-o", str(made)]
+        command = [compiler, *_FLAGS, *include, "-shared", "-fPIC", *sources, "-o", str(made)]
         subprocess.run(command, capture_output=True, text=True, check=True, timeout=_PATIENCE)
         made.replace(library)
     return library
@@ -76,25 +79,57 @@ def _processor() -> str:
     return f"{platform.machine()} {platform.processor()} {flags}"
 
 
+def _call(target: str, like: Any, *arrays: Any, **attributes: Any) -> Any:
+    """The kernel's results, of the shapes of `like`; it maps over any leading axes itself."""
+    shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, jnp.float32), like)
+    call = jax.ffi.ffi_call(f"pgrssnn_{target}", shapes, vmap_method="broadcast_all")
+    return call(*arrays, **attributes)
+
+
 @jax.custom_vjp
-def native_gru_scan(
+def gru_scan(
     kernel: Float[jax.Array, "hidden gates"],
     bias: Float[jax.Array, " gates"],
     projected: Float[jax.Array, "time seq gates"],
 ) -> Float[jax.Array, "time seq hidden"]:
-    """`models.gru.gru_scan` by the kernel, float32 and reverse mode only. Call it where `missing_kernel()` is None."""
+    """`models.gru.gru_scan`, float32 and reverse mode only. Call it where `missing_kernels()` is None."""
     states = jax.ShapeDtypeStruct((*projected.shape[:2], kernel.shape[0]), jnp.float32)
-    return jax.ffi.ffi_call(_TARGETS[0], states, vmap_method="broadcast_all")(kernel, bias, projected)
+    return _call("gru_forward", states, kernel, bias, projected)
 
 
-def _forward(kernel: jax.Array, bias: jax.Array, projected: jax.Array) -> tuple[jax.Array, tuple[Any, ...]]:
-    states = native_gru_scan(kernel, bias, projected)
+def _gru_forward(kernel: jax.Array, bias: jax.Array, projected: jax.Array) -> tuple[jax.Array, tuple[Any, ...]]:
+    states = gru_scan(kernel, bias, projected)
     return states, (kernel, bias, projected, states)
 
 
-def _backward(residuals: tuple[Any, ...], cotangent: Any) -> tuple[jax.Array, ...]:
-    likes = tuple(jax.ShapeDtypeStruct(a.shape, jnp.float32) for a in residuals[:3])
-    return tuple(jax.ffi.ffi_call(_TARGETS[1], likes, vmap_method="broadcast_all")(*residuals, cotangent))
+def _gru_backward(residuals: tuple[Any, ...], cotangent: Any) -> tuple[jax.Array, ...]:
+    return tuple(_call("gru_backward", residuals[:3], *residuals, cotangent))
 
 
-native_gru_scan.defvjp(_forward, _backward)
+gru_scan.defvjp(_gru_forward, _gru_backward)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def two_dense(
+    relu: bool,
+    first: Float[jax.Array, "n_in hidden"],
+    first_bias: Float[jax.Array, " hidden"],
+    second: Float[jax.Array, "hidden n_out"],
+    second_bias: Float[jax.Array, " n_out"],
+    z: Float[jax.Array, "rows n_in"],
+) -> Float[jax.Array, "rows n_out"]:
+    """`models.networks.TwoDense`, float32 and reverse mode only; relu False: the logistic function."""
+    y = jax.ShapeDtypeStruct((z.shape[0], second.shape[1]), jnp.float32)
+    return _call("two_dense_forward", y, first, first_bias, second, second_bias, z, relu=relu)
+
+
+def _two_dense_forward(relu: bool, *arrays: Any) -> tuple[jax.Array, tuple[Any, ...]]:
+    return two_dense(relu, *arrays), arrays
+
+
+def _two_dense_backward(relu: bool, arrays: tuple[Any, ...], cotangent: Any) -> tuple[jax.Array, ...]:
+    first, first_bias, second, _, z = arrays
+    return tuple(_call("two_dense_backward", arrays, first, first_bias, second, z, cotangent, relu=relu))
+
+
+two_dense.defvjp(_two_dense_forward, _two_dense_backward)

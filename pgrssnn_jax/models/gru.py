@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Float
 
-from pgrssnn_jax.acceleration.native import native_gru_scan
+from pgrssnn_jax.acceleration import native as kernels
 
 
 def gru_step(
@@ -132,7 +132,7 @@ class GRU(nnx.Module):
         kernel, bias = self._recurrent()
         if not native or projected.dtype != jnp.float32:
             return gru_scan(kernel, bias, projected)
-        return native_gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected)
+        return kernels.gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected)
 
     def _recurrent(self) -> tuple[jax.Array, jax.Array | None]:
         return self.hidden_kernel[...], None if self.hidden_bias is None else self.hidden_bias[...]

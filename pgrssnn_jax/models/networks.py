@@ -17,6 +17,7 @@ import jax.numpy as jnp
 from flax import nnx
 from jaxtyping import Float
 
+from pgrssnn_jax.acceleration import native as kernels
 from pgrssnn_jax.models.gru import GRU
 from pgrssnn_jax.models.radial import Radial
 from pgrssnn_jax.models.spec import ModelSpec
@@ -51,9 +52,16 @@ class TwoDense(nnx.Module):
         self.second = nnx.Linear(hidden, n_out, kernel_init=last, bias_init=last, rngs=rngs)
         self.activation = activation
 
-    def __call__(self, z: Float[jax.Array, "*batch n_in"]) -> Float[jax.Array, "*batch n_out"]:
+    def __call__(self, z: Float[jax.Array, "*batch n_in"], *, native: bool = False) -> Float[jax.Array, "*batch n_out"]:
+        """native: by the C++ kernel, which computes in float32; other precisions take XLA."""
         rows = z.reshape(-1, z.shape[-1])  # the gradient of a product over one axis of samples is the faster one
-        return self.second(ACTIVATIONS[self.activation](self.first(rows))).reshape(*z.shape[:-1], -1)
+        if native and z.dtype == jnp.float32:
+            layers: Any = (self.first, self.second)
+            weights = (weight[...] for layer in layers for weight in (layer.kernel, layer.bias))
+            y: Any = kernels.two_dense(self.activation == "relu", *weights, rows)
+        else:
+            y = self.second(ACTIVATIONS[self.activation](self.first(rows)))
+        return y.reshape(*z.shape[:-1], -1)
 
 
 class Networks(nnx.Module):
@@ -82,13 +90,31 @@ class Networks(nnx.Module):
         self.features_x = features(n_u + n_x)
         self.head_y = head(n_y)
 
-    def f_nn(self, h: Float[jax.Array, "*batch hidden"] | None, phi: Float[jax.Array, "*batch hidden"]) -> jax.Array:
+    def phi_u(self, u: Float[jax.Array, "*batch n_in"], *, native: bool = False) -> Float[jax.Array, "*batch hidden"]:
+        return _apply(self.features_u, u, native)
+
+    def f_nn(
+        self,
+        h: Float[jax.Array, "*batch hidden"] | None,
+        phi: Float[jax.Array, "*batch hidden"],
+        *,
+        native: bool = False,
+    ) -> jax.Array:
         """State correction from the GRU state *before* it saw u_t (None without a GRU) and φ_u."""
         mixed = phi if h is None else jnp.concatenate([h, phi], -1)
-        return self.correction * self.head_x(mixed if self.mixer is None else self.mixer(mixed))
+        return self.correction * _apply(
+            self.head_x, mixed if self.mixer is None else _apply(self.mixer, mixed, native), native
+        )
 
-    def g_nn(self, x: Float[jax.Array, "*batch x"], u: Float[jax.Array, "*batch u"]) -> jax.Array:
-        return self.head_y(self.features_x(jnp.concatenate([u, x], -1)))
+    def g_nn(
+        self, x: Float[jax.Array, "*batch x"], u: Float[jax.Array, "*batch u"], *, native: bool = False
+    ) -> jax.Array:
+        return _apply(self.head_y, _apply(self.features_x, jnp.concatenate([u, x], -1), native), native)
+
+
+def _apply(layer: Any, z: jax.Array, native: bool) -> jax.Array:
+    """A layer's output; dense layers alone have a kernel."""
+    return layer(z, native=native) if isinstance(layer, TwoDense) else layer(z)
 
 
 def scaled_heads(network: Any, factor_x: Any, factor_y: Any) -> Any:

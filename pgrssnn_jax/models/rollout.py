@@ -4,7 +4,7 @@ Three routes with equal results (to rounding):
     fused  one scan whose body does physics, GRU and networks; needed when the state is fed back
     split  without feedback f_nn depends on u alone: feature layers, input projections, heads and measurement networks
            are batched over time, and only the GRU recurrence and the physics step stay in scans
-    native split, with the GRU recurrence in a C++ kernel (`acceleration/native.py`)
+    native split, with GRU recurrence and dense layers in C++ kernels (`acceleration/native.py`)
 """
 
 from functools import partial
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from pgrssnn_jax.acceleration.native import missing_kernel
+from pgrssnn_jax.acceleration.native import missing_kernels
 from pgrssnn_jax.models.gru import delayed
 from pgrssnn_jax.models.model import Model, ModelParams
 from pgrssnn_jax.models.networks import Networks
@@ -54,7 +54,7 @@ def rollout(
         raise ValueError(f"rollout: route: expected 'fused', 'split', 'native' or None, found {route!r}")
     if route in ("split", "native") and model.spec.feedback:
         raise ValueError(f"rollout: route: expected 'fused' for a model with state feedback, found {route!r}")
-    if route == "native" and (missing := missing_kernel()):
+    if route == "native" and (missing := missing_kernels()):
         raise ValueError(f"rollout: route: expected 'split' or None here, found 'native': {missing}")
     check_kind("rollout: model", model, Model, "a model, ensemble.model say")
     u, x0 = jnp.asarray(u), jnp.asarray(x0)
@@ -68,7 +68,7 @@ def rollout(
     run = _fused if fused else partial(_split, native=route == "native")
     x_time = run(model, params, networks, u_time, x0, held)
     read = x_time if model.physics.output_timing == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])
-    y_time = _measure(model, params, networks, read, u_time)
+    y_time = _measure(model, params, networks, read, u_time, native=route == "native")
     x, y = jnp.swapaxes(x_time, 0, 1), jnp.swapaxes(y_time, 0, 1)
     return Trajectory(y, x, first_not_finite(x, y))
 
@@ -114,7 +114,7 @@ def _fused(
             seen = u_t_scaled
             if model.spec.feedback:
                 seen = jnp.concatenate([seen, model.seen_of(params.scaling.x.to_scaled(x))], -1)
-            phi = networks.features_u(seen)
+            phi = networks.phi_u(seen)
             correction = model.whole(networks.f_nn(h[-1] if h else None, phi))
             new = new + params.scaling.x.unscale_difference(correction)
             below = phi
@@ -141,12 +141,12 @@ def _split(
     if networks is None:
         correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
     else:
-        phi = networks.features_u(params.scaling.u.to_scaled(u))
+        phi = networks.phi_u(params.scaling.u.to_scaled(u), native=native)
         states = phi
         for layer in networks.gru:
             states = layer.scan(layer.project(states), native=native)
         h_before = delayed(states) if len(networks.gru) else None
-        correction = params.scaling.x.unscale_difference(model.whole(networks.f_nn(h_before, phi)))
+        correction = params.scaling.x.unscale_difference(model.whole(networks.f_nn(h_before, phi, native=native)))
     if not model.spec.guided:
         return correction
 
@@ -162,7 +162,9 @@ def _hold(held: list[jax.Array], old: jax.Array, new: jax.Array) -> jax.Array:
     return jnp.where(held[0][:, None], old, new) if held else new
 
 
-def _measure(model: Model, params: ModelParams, networks: Networks | None, x: jax.Array, u: jax.Array) -> jax.Array:
+def _measure(
+    model: Model, params: ModelParams, networks: Networks | None, x: jax.Array, u: jax.Array, *, native: bool
+) -> jax.Array:
     """y `[time, seq, y]` = g_phy(x, u) + s_y g_nn(x, u), batched over time; a black box's g_phy is the mean of y."""
     scaling = params.scaling
     if model.spec.guided:
@@ -172,5 +174,5 @@ def _measure(model: Model, params: ModelParams, networks: Networks | None, x: ja
     if networks is None:
         return y
     return y + scaling.y.unscale_difference(
-        networks.g_nn(model.seen_of(scaling.x.to_scaled(x)), scaling.u.to_scaled(u))
+        networks.g_nn(model.seen_of(scaling.x.to_scaled(x)), scaling.u.to_scaled(u), native=native)
     )

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from pgrssnn_jax.acceleration.native import missing_kernel
+from pgrssnn_jax.acceleration.native import missing_kernels
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.rollout import Route
@@ -115,7 +115,7 @@ def chosen_route(settings: TrainingSettings) -> Route | None:
     spec, asked = settings.model, settings.members.recurrence
     if asked == "xla" or not settings.run.accelerate or not (spec.networks and spec.recurrent) or spec.feedback:
         return None
-    missing = missing_kernel()
+    missing = missing_kernels()
     if missing and asked == "native":
         raise ValueError(f"members.recurrence: expected xla or auto here, found native: {missing}")
     return None if missing else "native"

@@ -1,4 +1,4 @@
-"""The C++ recurrence against the scan of `models/gru.py`: values, gradients, failures, members, machines without it."""
+"""The C++ kernels against the forms of `models/`: values, gradients, failures, members, machines without them."""
 
 import jax
 import jax.numpy as jnp
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pgrssnn_jax.acceleration.native import missing_kernel, native_gru_scan
+from pgrssnn_jax.acceleration.native import gru_scan as gru_kernel
+from pgrssnn_jax.acceleration.native import missing_kernels, two_dense
 from pgrssnn_jax.models.gru import gru_scan
 
-needs_kernel = pytest.mark.skipif(missing_kernel() is not None, reason=f"no kernel: {missing_kernel()}")
+needs_kernel = pytest.mark.skipif(missing_kernels() is not None, reason=f"no kernel: {missing_kernels()}")
 
 
 def weights(hidden, time, sequences, *members, seed=0):
@@ -31,15 +32,15 @@ def gradients(scan, arrays):
 @pytest.mark.parametrize(("time", "sequences"), [(1, 1), (130, 1), (64, 1), (9, 13), (3, 70)])
 def test_values_and_gradients_are_those_of_the_scan(hidden, time, sequences):
     arrays = weights(hidden, time, sequences)
-    np.testing.assert_allclose(native_gru_scan(*arrays), gru_scan(*arrays), rtol=0, atol=2e-6)
-    for found, expected in zip(gradients(native_gru_scan, arrays), gradients(gru_scan, arrays), strict=True):
+    np.testing.assert_allclose(gru_kernel(*arrays), gru_scan(*arrays), rtol=0, atol=2e-6)
+    for found, expected in zip(gradients(gru_kernel, arrays), gradients(gru_scan, arrays), strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
 
 
 @needs_kernel
 def test_gradients_are_those_of_finite_differences():
     def scan(*arrays):
-        return native_gru_scan(*map(jnp.asarray, arrays))
+        return gru_kernel(*map(jnp.asarray, arrays))
 
     check_grads(scan, weights(6, 5, 2), order=1, modes=["rev"], rtol=2e-2, atol=2e-2, eps=1e-2)
 
@@ -49,16 +50,16 @@ def test_gates_that_saturate_stay_finite_and_right():
     kernel, bias, projected = weights(16, 20, 3)
     projected = 200.0 * projected
     np.testing.assert_allclose(
-        native_gru_scan(kernel, bias, projected), gru_scan(kernel, bias, projected), rtol=0, atol=2e-6
+        gru_kernel(kernel, bias, projected), gru_scan(kernel, bias, projected), rtol=0, atol=2e-6
     )
-    assert all(np.isfinite(g).all() for g in gradients(native_gru_scan, (kernel, bias, projected)))
+    assert all(np.isfinite(g).all() for g in gradients(gru_kernel, (kernel, bias, projected)))
 
 
 @needs_kernel
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_not_finite_shows_from_its_sample_on(bad):
     kernel, bias, projected = weights(16, 12, 2)
-    states = native_gru_scan(kernel, bias, projected.at[7, 1, 3].set(bad).at[7, 1, 35].set(np.nan))
+    states = gru_kernel(kernel, bias, projected.at[7, 1, 3].set(bad).at[7, 1, 35].set(np.nan))
     assert np.isfinite(states[:7]).all()
     assert np.isfinite(states[:, 0]).all()
     assert not np.isfinite(states[7:, 1]).all(-1).any()
@@ -68,35 +69,77 @@ def test_what_is_not_finite_shows_from_its_sample_on(bad):
 @pytest.mark.parametrize("how", ["vmap", "map"])
 def test_members_are_computed_as_if_alone(how):
     arrays = weights(16, 30, 2, 3)
-    mapped = jax.vmap(native_gru_scan) if how == "vmap" else lambda *a: jax.lax.map(lambda b: native_gru_scan(*b), a)
+    mapped = jax.vmap(gru_kernel) if how == "vmap" else lambda *a: jax.lax.map(lambda b: gru_kernel(*b), a)
     together = jax.jit(mapped)(*arrays)
     for i in range(3):
-        np.testing.assert_array_equal(together[i], native_gru_scan(*(a[i] for a in arrays)))
+        np.testing.assert_array_equal(together[i], gru_kernel(*(a[i] for a in arrays)))
 
 
 @needs_kernel
 def test_members_may_share_their_weights():
     kernel, bias, projected = weights(16, 30, 2)
     projected = jnp.stack([projected, -projected])
-    found = jax.vmap(native_gru_scan, (None, None, 0))(kernel, bias, projected)
-    np.testing.assert_array_equal(found[1], native_gru_scan(kernel, bias, projected[1]))
+    found = jax.vmap(gru_kernel, (None, None, 0))(kernel, bias, projected)
+    np.testing.assert_array_equal(found[1], gru_kernel(kernel, bias, projected[1]))
+
+
+def layers(n_in, hidden, n_out, rows, *members):
+    keys = jax.random.split(jax.random.key(1), 5)
+    shapes = (n_in, hidden), (hidden,), (hidden, n_out), (n_out,), (rows, n_in)
+    return [jax.random.normal(k, (*members, *shape)) * 0.5 for k, shape in zip(keys, shapes, strict=True)]
+
+
+def by_hand(relu, w1, b1, w2, b2, z):
+    act = jax.nn.relu if relu else jax.nn.sigmoid
+    return act(z @ w1 + b1[None]) @ w2 + b2[None]
+
+
+@needs_kernel
+@pytest.mark.parametrize("relu", [True, False])
+@pytest.mark.parametrize("shape", [(1, 16, 16, 200), (32, 16, 16, 64), (16, 16, 1, 65), (3, 7, 18, 5), (64, 64, 12, 1)])
+def test_dense_layers_are_those_of_two_products(relu, shape):
+    arrays = layers(*shape)
+    np.testing.assert_allclose(two_dense(relu, *arrays), by_hand(relu, *arrays), rtol=0, atol=5e-5)
+
+    def gradient(function):
+        return jax.jit(jax.grad(lambda a: jnp.sum(jnp.sin(function(relu, *a)))))(arrays)
+
+    for found, expected in zip(gradient(two_dense), gradient(by_hand), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
+
+
+@needs_kernel
+def test_dense_layers_of_members_are_computed_as_if_alone():
+    arrays = layers(3, 16, 16, 70, 4)
+    together = jax.jit(jax.vmap(lambda *a: two_dense(True, *a)))(*arrays)
+    for i in range(4):
+        np.testing.assert_array_equal(together[i], two_dense(True, *(a[i] for a in arrays)))
+
+
+@needs_kernel
+@pytest.mark.parametrize("relu", [True, False])
+def test_dense_layers_pass_on_what_is_not_finite(relu):
+    *weights_, z = layers(3, 16, 2, 70)
+    y = two_dense(relu, *weights_, z.at[66, 1].set(jnp.nan))
+    assert np.isnan(y[66]).all()
+    assert np.isfinite(np.delete(y, 66, 0)).all()
 
 
 def test_a_machine_without_a_compiler_says_so(monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CXX", raising=False)
-    assert missing_kernel.__wrapped__() == "no C++ compiler found (CXX, c++, g++, clang++)"
+    assert missing_kernels.__wrapped__() == "no C++ compiler found (CXX, c++, g++, clang++)"
 
 
 def test_a_compiler_that_fails_is_no_kernel(monkeypatch, tmp_path):
     compiler = tmp_path / "broken"
     compiler.write_text(
-        '#!/bin/sh\n[ "$1" = --version ] && echo 1.0 || { echo "gru.cc:1: no such thing" >&2; exit 1; }\n'
+        '#!/bin/sh\n[ "$1" = --version ] && echo 1.0 || { echo "kernels.cc:1: no such thing" >&2; exit 1; }\n'
     )
     compiler.chmod(0o755)
     monkeypatch.setenv("CXX", str(compiler))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert missing_kernel.__wrapped__() == f"{compiler} does not compile the C++ kernel: gru.cc:1: no such thing"
+    assert missing_kernels.__wrapped__() == f"{compiler} does not compile the C++ kernels: kernels.cc:1: no such thing"
     assert list((tmp_path / "cache/pgrssnn_jax/native").iterdir()) == []
 
 
@@ -104,6 +147,6 @@ def test_a_cache_folder_that_cannot_be_written_is_no_kernel(monkeypatch, tmp_pat
     blocked = tmp_path / "cache"
     blocked.write_text("a file, where a folder is needed")
     monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    if missing_kernel() is not None:
+    if missing_kernels() is not None:
         pytest.skip("no compiler")
-    assert "cannot be compiled or loaded" in missing_kernel.__wrapped__()
+    assert "cannot be compiled or loaded" in missing_kernels.__wrapped__()

@@ -15,7 +15,7 @@ from toys import (
     toy_signals,
 )  # fmt: skip
 
-from pgrssnn_jax.acceleration.native import missing_kernel
+from pgrssnn_jax.acceleration.native import missing_kernels
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
 
@@ -28,7 +28,7 @@ SPECS = {
 
 
 #: the first one is compared with all others
-ROUTES = ("fused", "split", *(["native"] if missing_kernel() is None else []))
+ROUTES = ("fused", "split", *(["native"] if missing_kernels() is None else []))
 
 
 @pytest.mark.parametrize("fields", SPECS.values(), ids=SPECS)

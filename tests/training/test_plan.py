@@ -158,7 +158,7 @@ def test_without_acceleration_one_device_maps_the_members():
 
 
 def test_own_data_takes_the_kernel_where_there_is_one_and_benchmarks_keep_xla(monkeypatch):
-    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernel", lambda: None)
+    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernels", lambda: None)
     assert plan().fit.objective.route is None
     own = training_settings("pg_rssnn", DEFAULT.settings(discovered=False))
     assert own.members.recurrence == "auto"
@@ -174,12 +174,12 @@ def test_own_data_takes_the_kernel_where_there_is_one_and_benchmarks_keep_xla(mo
     [("pg_rssnn", {"accelerate": False}), ("pg_rssnn_fb", {}), ("pg_fcssnn", {}), ("physics_only", {}), ("w_pgnn", {})],
 )
 def test_what_has_no_recurrence_of_its_own_or_no_acceleration_takes_xla(monkeypatch, model, settings):
-    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernel", lambda: None)
+    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernels", lambda: None)
     assert plan(model=model, recurrence="native", **settings).fit.objective.route is None
 
 
 def test_a_kernel_that_is_missing_is_done_without_or_named(monkeypatch):
-    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernel", lambda: "no C++ compiler found")
+    monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernels", lambda: "no C++ compiler found")
     assert plan(recurrence="auto").fit.objective.route is None
     with pytest.raises(ValueError, match="members.recurrence: expected xla or auto here, found native: no C"):
         plan(recurrence="native")

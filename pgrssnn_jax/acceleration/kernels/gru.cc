@@ -6,111 +6,15 @@
 // kernel [.., H, 3H], bias [.., 3H], projected [.., T, S, 3H], states [.., T, S, H]; leading axes are members.
 // The forward pass keeps the states alone: to compute the gates again costs less than to write them to memory.
 
-#include <algorithm>
-#include <cstdint>
-#include <cstring>
 #include <vector>
 
+#include "small_products.h"
 #include "xla/ffi/api/ffi.h"
 
 namespace ffi = xla::ffi;
+using namespace small;
 
 namespace {
-
-constexpr int64_t kLanes = 16;         // floats of a vector: one register of AVX-512, two of AVX2, four of NEON
-constexpr int64_t kChunkRows = 64;     // time steps x sequences whose gates are held at once: they stay in the cache
-using Vector = float __attribute__((vector_size(kLanes * sizeof(float)), aligned(sizeof(float)), may_alias));
-
-// exp(x) to 2e-7: x = k ln 2 + r, a polynomial of degree 6 in r. Source: Cephes library, expf.
-inline float exponential(float x) {
-  x = x < -87.0f ? -87.0f : x > 87.0f ? 87.0f : x;  // NaN stays NaN
-  const float k = __builtin_floorf(x * 1.44269504f + 0.5f);
-  const float r = x - k * 0.693359375f + k * 2.12194440e-4f;
-  float p = 1.9875691500e-4f;
-  p = p * r + 1.3981999507e-3f;
-  p = p * r + 8.3334519073e-3f;
-  p = p * r + 4.1665795894e-2f;
-  p = p * r + 1.6666665459e-1f;
-  p = p * r + 5.0000001201e-1f;
-  p = p * r * r + r + 1.0f;
-  const int32_t exponent = (static_cast<int32_t>(k) + 127) << 23;
-  float scale;
-  std::memcpy(&scale, &exponent, sizeof scale);
-  return p * scale;
-}
-
-inline float sigmoid(float x) { return 1.0f / (1.0f + exponential(-x)); }
-inline float hyperbolic_tangent(float x) { return 1.0f - 2.0f / (exponential(2.0f * x) + 1.0f); }
-
-// a[row, inner] with any strides
-struct Matrix {
-  const float* at;
-  int64_t row, inner;
-  float operator()(int64_t s, int64_t i) const { return at[s * row + i * inner]; }
-  Matrix from_row(int64_t s) const { return {at + s * row, row, inner}; }
-};
-
-inline Vector& vector_at(float* at) { return *reinterpret_cast<Vector*>(at); }
-inline const Vector& vector_at(const float* at) { return *reinterpret_cast<const Vector*>(at); }
-
-// out[s, :] += sum_i a[s, i] b[i, :] for kRows rows and kWidth vectors of columns, whose sums stay in registers
-template <int kRows, int kWidth>
-inline void block(Matrix a, const float* b, int64_t inner, int64_t columns, float* out) {
-  Vector sum[kRows][kWidth];
-#pragma GCC unroll 8
-  for (int s = 0; s < kRows; ++s)
-#pragma GCC unroll 4
-    for (int c = 0; c < kWidth; ++c) sum[s][c] = vector_at(out + s * columns + c * kLanes);
-  for (int64_t i = 0; i < inner; ++i) {
-    Vector row[kWidth];
-#pragma GCC unroll 4
-    for (int c = 0; c < kWidth; ++c) row[c] = vector_at(b + i * columns + c * kLanes);
-#pragma GCC unroll 8
-    for (int s = 0; s < kRows; ++s)
-#pragma GCC unroll 4
-      for (int c = 0; c < kWidth; ++c) sum[s][c] += a(s, i) * row[c];
-  }
-#pragma GCC unroll 8
-  for (int s = 0; s < kRows; ++s)
-#pragma GCC unroll 4
-    for (int c = 0; c < kWidth; ++c) vector_at(out + s * columns + c * kLanes) = sum[s][c];
-}
-
-// the same for one row and one vector: four sums, because one would wait for its own last addition
-template <>
-inline void block<1, 1>(Matrix a, const float* b, int64_t inner, int64_t columns, float* out) {
-  Vector sum[4] = {vector_at(out)};
-  int64_t i = 0;
-  for (; i + 4 <= inner; i += 4)
-#pragma GCC unroll 4
-    for (int j = 0; j < 4; ++j) sum[j] += a(0, i + j) * vector_at(b + (i + j) * columns);
-  for (; i < inner; ++i) sum[0] += a(0, i) * vector_at(b + i * columns);
-  vector_at(out) = (sum[0] + sum[1]) + (sum[2] + sum[3]);
-}
-
-template <int kRows>
-inline void strip(Matrix a, const float* b, int64_t inner, int64_t columns, float* out) {
-  int64_t c = 0;
-  for (; c + 3 * kLanes <= columns; c += 3 * kLanes) block<kRows, 3>(a, b + c, inner, columns, out + c);
-  for (; c + kLanes <= columns; c += kLanes) block<kRows, 1>(a, b + c, inner, columns, out + c);
-  for (; c < columns; ++c)
-    for (int s = 0; s < kRows; ++s)
-      for (int64_t i = 0; i < inner; ++i) out[s * columns + c] += a(s, i) * b[i * columns + c];
-}
-
-// out [rows, columns] += a [rows, inner] b [inner, columns]
-inline void multiply_add(Matrix a, const float* b, int64_t rows, int64_t inner, int64_t columns, float* out) {
-  int64_t s = 0;
-  for (; s + 8 <= rows; s += 8) strip<8>(a.from_row(s), b, inner, columns, out + s * columns);
-  for (; s + 4 <= rows; s += 4) strip<4>(a.from_row(s), b, inner, columns, out + s * columns);
-  for (; s < rows; ++s) strip<1>(a.from_row(s), b, inner, columns, out + s * columns);
-}
-
-// recurrent [rows, 3H] = bias + before [rows, H] kernel
-inline void recur(const float* before, const float* kernel, const float* bias, int64_t rows, int64_t H, float* recurrent) {
-  for (int64_t s = 0; s < rows; ++s) std::copy_n(bias, 3 * H, recurrent + s * 3 * H);
-  multiply_add({before, H, 1}, kernel, rows, H, 3 * H, recurrent);
-}
 
 // r, z and n of one row from its projected input p and its recurrent part
 inline void gate(const float* __restrict p, const float* __restrict recurrent, int64_t H, float* __restrict gates) {
@@ -128,7 +32,7 @@ void forward(Shape shape, const float* kernel, const float* bias, const float* p
   std::vector<float> start(S * H, 0.0f), recurrent(S * 3 * H), gates(3 * H);
   const float* before = start.data();
   for (int64_t t = 0; t < shape.time; ++t) {
-    recur(before, kernel, bias, S, H, recurrent.data());
+    affine({before, H, 1}, kernel, bias, S, H, 3 * H, recurrent.data());
     for (int64_t s = 0; s < S; ++s) {
       gate(projected + (t * S + s) * 3 * H, recurrent.data() + s * 3 * H, H, gates.data());
       const float *__restrict z = gates.data() + H, *__restrict n = gates.data() + 2 * H, *__restrict h = before + s * H;
@@ -147,8 +51,7 @@ void backward(Shape shape, const float* kernel, const float* bias, const float* 
   const int64_t chunk = std::max<int64_t>(1, kChunkRows / S), most = chunk * S;
   std::vector<float> transposed(3 * H * H), carry(S * H, 0.0f);
   std::vector<float> before(most * H), recurrent(most * 3 * H), gates(most * 3 * H), d_recurrent(most * 3 * H);
-  for (int64_t i = 0; i < H; ++i)
-    for (int64_t c = 0; c < 3 * H; ++c) transposed[c * H + i] = kernel[i * 3 * H + c];
+  transpose(kernel, H, 3 * H, transposed.data());
   std::fill_n(d_kernel, 3 * H * H, 0.0f);
   std::fill_n(d_bias, 3 * H, 0.0f);
   for (int64_t end = shape.time; end > 0; end -= chunk) {
@@ -156,7 +59,7 @@ void backward(Shape shape, const float* kernel, const float* bias, const float* 
     const int64_t missing = first ? 0 : S;  // the state before the first step is zero
     std::fill_n(before.data(), missing * H, 0.0f);
     std::copy_n(states + (first * S - S + missing) * H, (rows - missing) * H, before.data() + missing * H);
-    recur(before.data(), kernel, bias, rows, H, recurrent.data());
+    affine({before.data(), H, 1}, kernel, bias, rows, H, 3 * H, recurrent.data());
     for (int64_t s = 0; s < rows; ++s)
       gate(projected + (first * S + s) * 3 * H, recurrent.data() + s * 3 * H, H, gates.data() + s * 3 * H);
     for (int64_t t = end - first - 1; t >= 0; --t) {
@@ -180,8 +83,7 @@ void backward(Shape shape, const float* kernel, const float* bias, const float* 
       multiply_add({d_recurrent.data() + t * S * 3 * H, 3 * H, 1}, transposed.data(), S, 3 * H, H, carry.data());
     }
     multiply_add({before.data(), 1, H}, d_recurrent.data(), H, rows, 3 * H, d_kernel);
-    for (int64_t s = 0; s < rows; ++s)
-      for (int64_t c = 0; c < 3 * H; ++c) d_bias[c] += d_recurrent[s * 3 * H + c];
+    add_rows(d_recurrent.data(), rows, 3 * H, d_bias);
   }
 }
 
