@@ -16,7 +16,7 @@ from rich.console import Console
 from pgrssnn_jax.api import check_setup, discovered
 from pgrssnn_jax.cli.entry import Work
 from pgrssnn_jax.cli.plan import load_experiment, own_effects, plain_config
-from pgrssnn_jax.cli.process import Interrupted
+from pgrssnn_jax.cli.process import Interrupted, ended_at_once
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
@@ -25,6 +25,8 @@ from pgrssnn_jax.reports.discovery_tables import discovery_summary
 from pgrssnn_jax.reports.write import yaml_text
 from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, short_path
 from pgrssnn_jax.training.settings import settings_from_config
+
+_STOPPED = "stopped; discovery cannot be resumed, start it again"
 
 
 def prepare_discovery(config: DictConfig) -> Work:
@@ -67,14 +69,15 @@ def discovery_run(
     seconds: float,
     stop: threading.Event,
 ) -> None:
-    """Discovers, writes the folder, shows the summary. Raises `Interrupted` between the steps when asked to stop."""
+    """Discovers, writes the folder, shows the summary. Raises `Interrupted` when asked to stop before it writes."""
     info = setup.estimation.info
     console.print(
         f"discovery on {config['data']['name']} ({info.source}: {info.origin}); "
         f"{setup.estimation.u.shape[0]} sequence(s) of {setup.estimation.u.shape[1]} samples to learn from",
         soft_wrap=True,
     )
-    found = discovered(setup, motion, partial(_progress, console, stop), stop, command=command, seconds=seconds)
+    with ended_at_once(stop, _STOPPED):
+        found = discovered(setup, motion, partial(_progress, console, stop), stop, command=command, seconds=seconds)
     found.write(run, yaml_text(config), command)
     console.print(discovery_summary(found.details))
     console.print(f"run folder: {short_path(run.path)}   page: {short_path(run.path / 'report.html')}", soft_wrap=True)
@@ -82,5 +85,5 @@ def discovery_run(
 
 def _progress(console: Console, stop: threading.Event, line: str) -> None:
     if stop.is_set():
-        raise Interrupted("stopped; discovery cannot be resumed, start it again")
+        raise Interrupted(_STOPPED)
     console.print(line, soft_wrap=True)

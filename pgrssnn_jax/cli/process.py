@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
@@ -32,18 +32,45 @@ def stop_signal() -> Iterator[threading.Event]:
     A raised interrupt can be lost inside a callback of JAX; a flag cannot. Main thread only, else never set.
     """
     event = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield event
-        return
 
     def handle(number: int, frame: FrameType | None) -> None:
         if event.is_set():
             raise KeyboardInterrupt
         event.set()
 
+    with _handled_by(handle):
+        yield event
+
+
+@contextmanager
+def ended_at_once(stop: threading.Event, sentence: str) -> Iterator[None]:
+    """Inside, the first Ctrl-C or SIGTERM raises `Interrupted(sentence)`: for work that keeps nothing when it is
+    stopped, and whose steps take longer than a user waits. It sets `stop` as well, in case the raised one is lost."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop.set()
+        raise KeyboardInterrupt
+
+    try:
+        with _handled_by(handle):
+            if stop.is_set():
+                raise KeyboardInterrupt
+            yield
+    except (KeyboardInterrupt, Exception) as problem:  # a library may turn the interrupt into an error of its own
+        if stop.is_set():
+            raise Interrupted(sentence) from problem
+        raise
+
+
+@contextmanager
+def _handled_by(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Ctrl-C and SIGTERM, in the main thread; in others nothing changes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     previous: dict[signal.Signals, Any] = {s: signal.signal(s, handle) for s in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield event
+        yield
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

@@ -1,7 +1,6 @@
 """What a physics must offer to be examined: a free run over the record that stays finite, and so do its derivatives."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +11,8 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
-from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.check import of_library
-from pgrssnn_jax.physics.integrate import EXPLICIT
-from pgrssnn_jax.physics.simulate import free_run
-
-_LARGEST = float(np.finfo(np.float32).max)  # networks are trained in this precision
-_SHORTER, _MOST = (10, 100), 10_000  # times as many sub-steps, and how many at most
+from pgrssnn_jax.physics.stiffness import LARGEST, of_shorter_steps
 
 
 def check_physics(setup: Setup) -> None:
@@ -39,41 +33,17 @@ def _check_free_run(
 ) -> None:
     physics = problem.physics
     for what, named, values in (("state", problem.full.states, x), ("output", physics.outputs, y)):
-        usable = np.abs(values) < _LARGEST  # False for NaN
+        usable = np.abs(values) < LARGEST  # False for NaN
         finite = usable.all((0, 2))
         if finite.all():
             continue
         first = int(np.argmin(finite))
         name = named[int(np.argmin(usable[:, first].all(0)))].name
-        hint = _of_shorter_steps(physics, signals) if what == "state" and first else ""
+        hint = of_shorter_steps(physics, signals.u, signals.start) if what == "state" and first else ""
         raise ValueError(
             f"physics {physics.name!r}: expected a free run that stays finite over the record, found {what} {name!r} "
             f"beyond the floating-point range from sample {first} on{hint}"
         )
-
-
-def _of_shorter_steps(physics: Physics, signals: Signals) -> str:
-    """Do they help? Explicit integrators of a stiff system need them."""
-    steps, known = physics.settings.get("sub_steps"), physics.settings.get("integrator")
-    if steps is None:
-        return f" (a step of dt={physics.dt:g} s may be too long for this system: the step function may divide it)"
-    method = known if isinstance(known, str) else "this integrator"
-
-    def finite(**settings: Any) -> bool:
-        _, x = free_run(physics.variant(**settings), signals.u, signals.start)
-        return bool((np.abs(np.asarray(x)) < _LARGEST).all())
-
-    tried = [more * steps for more in _SHORTER if more * steps <= _MOST]
-    helping = next((shorter for shorter in tried if finite(sub_steps=shorter)), None)
-    if helping is None:
-        return f" (shorter steps of {method}, up to sub_steps={tried[-1]}, do not help)" if tried else ""
-    # asked only where shorter steps help: an implicit step may carry a system past the time at which it has no solution
-    implicit = known in EXPLICIT and not of_library(physics) and finite(integrator="rosenbrock")
-    return (
-        f" (its step of {physics.dt / steps:g} s is too long for {method}, as it is where a system is stiff: "
-        f"sub_steps={helping} in place of {steps} keeps the run finite"
-        f"{', and so does the implicit integrator=rosenbrock' if implicit else ''})"
-    )
 
 
 def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:

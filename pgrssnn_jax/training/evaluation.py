@@ -9,7 +9,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from pgrssnn_jax.models.model import Model
 from pgrssnn_jax.models.rollout import Trajectory, rollout
+from pgrssnn_jax.physics.simulate import first_output_state
+from pgrssnn_jax.physics.stiffness import of_shorter_steps, stays_finite
 from pgrssnn_jax.records.record import Array, Record, take, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
 from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
@@ -141,15 +144,19 @@ def member_rows(
     """One entry of `metrics.json` per member; validation: measured records `[member, seq, time, y]` with what was
     predicted on them, None where they are not at hand."""
     rows: list[dict[str, Any]] = []
+    hints: dict[int, str] = {}  # by the dataset
     test, state, n_inits = tests.measured, trained.state, tests.n_inits
     for i, member in enumerate(trained.members):
         status = MemberStatus(int(state.outcome[i]))
         if not status.failed and not predictions.finite[i]:
             status = MemberStatus.STATE_NOT_FINITE
+        if status.failed and member.dataset not in hints:
+            hints[member.dataset] = _hint(trained.objective.model, take(tests.record, i))
+        reason = status.sentence if state.epoch[i] or status.failed else "not trained"
         row: dict[str, Any] = {
             **member._asdict(),
             "status": "failed" if status.failed else "ok",
-            "reason": status.sentence if state.epoch[i] or status.failed else "not trained",
+            "reason": reason + (hints[member.dataset] if status.failed else ""),
             "best_epoch": int(state.best_epoch[i]),
             "epochs": int(state.epoch[i]),
             "rollbacks": int(state.rollbacks[i]),
@@ -164,6 +171,14 @@ def member_rows(
             row["by_n_init"] = {str(n): figures for n, figures in on_test.items()}
         rows.append(row)
     return rows
+
+
+def _hint(model: Model, test: Record) -> str:
+    """What keeps the physics of a member in the floating-point range, where it leaves the range without networks."""
+    physics, u, y = model.physics, np.asarray(test.u), np.where(test.mask, test.y, 0.0).astype(test.u.dtype)
+    x0 = first_output_state(physics, y[:, 0], u[:, 0])
+    alone = model.spec.guided and not stays_finite(physics, u, x0)
+    return of_shorter_steps(physics, u, x0) if alone else ""
 
 
 def _figures(record: Record, predicted: np.ndarray, n_init: int) -> dict[str, list[float]]:

@@ -1,0 +1,74 @@
+"""Ctrl-C, on work that keeps nothing when it is stopped."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from pgrssnn_jax.cli.process import Interrupted, ended_at_once, stop_signal
+
+
+def interrupt(number: signal.Signals = signal.SIGINT) -> None:
+    os.kill(os.getpid(), number)
+    time.sleep(5)  # whoever is interrupted does not get here
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_ends_work_where_it_stands(number):
+    before, went_on = signal.getsignal(number), False
+    with stop_signal() as stop:
+        outer = signal.getsignal(number)
+        with pytest.raises(Interrupted, match="start it again"), ended_at_once(stop, "stopped; start it again"):
+            interrupt(number)
+            went_on = True
+        assert stop.is_set()
+        assert signal.getsignal(number) is outer
+    assert not went_on
+    assert signal.getsignal(number) is before
+
+
+def test_an_interrupt_that_a_library_turned_into_an_error_is_still_one():
+    def callback() -> None:
+        try:
+            interrupt()
+        except BaseException as problem:
+            raise RuntimeError("INTERNAL: CpuCallback error") from problem
+
+    with pytest.raises(Interrupted, match="stopped"), stop_signal() as stop, ended_at_once(stop, "stopped"):
+        callback()
+
+
+def test_an_interrupt_that_a_library_lost_is_left_in_the_event():
+    with stop_signal() as stop:
+        with ended_at_once(stop, "stopped"):
+            try:
+                interrupt()
+            except KeyboardInterrupt:
+                pass
+        assert stop.is_set()
+        with pytest.raises(Interrupted), ended_at_once(stop, "stopped"):
+            raise AssertionError("begun although it was to stop")
+
+
+def test_what_nobody_interrupted_keeps_its_result_and_its_errors():
+    stop = threading.Event()
+    with ended_at_once(stop, "stopped"):
+        found = 1
+    assert found == 1
+    with pytest.raises(ValueError, match="bad"), ended_at_once(stop, "stopped"):
+        raise ValueError("bad")
+
+
+def test_in_another_thread_signals_stay_as_they_are():
+    seen, stop = [], threading.Event()
+
+    def work() -> None:
+        with ended_at_once(stop, "stopped"):
+            seen.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [signal.getsignal(signal.SIGINT)]
