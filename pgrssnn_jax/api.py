@@ -22,7 +22,7 @@ from pgrssnn_jax.acceleration.devices import keep_compiled
 from pgrssnn_jax.data.arm_log import load_arm_log as _load_arm_log
 from pgrssnn_jax.data.benchmarks import as_records, load_benchmark
 from pgrssnn_jax.data.sources import channels
-from pgrssnn_jax.discovery.checks import check_physics
+from pgrssnn_jax.discovery.checks import check_effects_of_motion, check_physics
 from pgrssnn_jax.discovery.discover import discover as discover_from
 from pgrssnn_jax.discovery.inverse.discover import discover_by_torques, motion_evidence
 from pgrssnn_jax.discovery.inverse.filter_form import filter_form
@@ -184,6 +184,8 @@ def check_setup(setup: Setup) -> Motion | None:
         check_physics(setup)
         if setup.settings.network_epochs:
             plan_network(setup, None)
+    else:
+        check_effects_of_motion(setup, motion)
     return motion
 
 

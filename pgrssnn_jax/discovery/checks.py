@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.least_squares import simulate
+from pgrssnn_jax.discovery.neutral import check_neutral
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.scoring import scoring
 from pgrssnn_jax.discovery.setup import Setup
@@ -24,8 +26,18 @@ def check_physics(setup: Setup) -> None:
         signals = record.signals(problem, 0)
         y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
         _check_free_run(problem, signals, y[0], x[0])
+        before = np.concatenate([signals.start[:, None], x[0][:, :-1]], 1)
+        check_neutral(setup.physics, setup.own_effects, *(a.reshape(-1, a.shape[-1]) for a in (before, signals.u)))
         if not of_library(setup.physics):
-            _check_derivatives(problem, signals, x[0])
+            _check_derivatives(problem, before[0], signals.u[0])
+
+
+def check_effects_of_motion(setup: Setup, motion: Motion) -> None:
+    """Raises `ValueError` as `neutral.check_neutral` along a measured motion."""
+    own = setup.own_effects
+    if own:
+        x = np.concatenate([motion.reading, motion.v], -1)
+        check_neutral(setup.physics, own, *(a.reshape(-1, a.shape[-1]) for a in (x, motion.torque)))
 
 
 def _check_free_run(
@@ -46,9 +58,8 @@ def _check_free_run(
         )
 
 
-def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, "seq time x"]) -> None:
-    """Of every step and reading of the first sequence."""
-    before = np.concatenate([signals.start[:1], x[0, :-1]])
+def _check_derivatives(problem: Problem, before: Float[np.ndarray, "time x"], u: Float[np.ndarray, "time u"]) -> None:
+    """Of every step and reading of a sequence."""
     full, unravel = problem.full, problem.code.unravel
 
     def together(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
@@ -57,7 +68,7 @@ def _check_derivatives(problem: Problem, signals: Signals, x: Float[np.ndarray, 
         return jnp.concatenate([new, full.measure(p, new, u)])
 
     by_theta, by_x = jax.jit(jax.vmap(jax.jacfwd(together, (0, 1)), (None, 0, 0)))(
-        jnp.asarray(problem.theta), jnp.asarray(before), jnp.asarray(signals.u[0])
+        jnp.asarray(problem.theta), jnp.asarray(before), jnp.asarray(u)
     )
     own = problem.of(None)
     _check(problem, np.asarray(by_x), "state", [state.name for state in problem.full.states])

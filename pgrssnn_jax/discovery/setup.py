@@ -56,6 +56,11 @@ class Setup(NamedTuple):
         """Those that are looked for before any elaborate one."""
         return tuple(effect for effect in self.effects if not effect.elaborate)
 
+    @property
+    def own_effects(self) -> tuple[Effect, ...]:
+        """Those of the user."""
+        return self.effects[len(catalogue(self.physics)) :]
+
 
 def set_up(
     physics: Physics,

@@ -84,6 +84,11 @@ GIVEN = {
         lambda: discover(effects=[shift(parameters={"by": pg.Parameter("b", neutral=np.inf)})]),
         "effects: shift: expected initial_guesses beside an infinite neutral",
     ),
+    "an effect that acts at its neutral value": (
+        lambda: quick(effects=[shift(wrap=lambda p: pg.effects.on_output(p, "shift", lambda n, y: y + n["by"] + 0.5))]),
+        "effects: shift: expected that it changes nothing at its neutral value, by=0, found output 'level_voltage' "
+        "changed by up to 0.5 V",
+    ),
     "a catalogue without what is not there": (
         lambda: discover(without=["leek"]),
         "effects: expected some of",
