@@ -54,7 +54,7 @@ class Ended(NamedTuple):
     code: int
     out: str
     err: str
-    seconds: float  # of processor time, from the first moment at which the command held its folder
+    seconds: float  # of processor time, from the first moment at which the command held its folder to the last one
 
 
 def prepare(work: Path, name: str, finished: Path | None) -> None:
@@ -78,22 +78,28 @@ def run(
         JAX_COMPILATION_CACHE_DIR=str(cache), JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0",
     )  # fmt: skip
     try:
-        while process.poll() is None and not (list(work.glob(".*.lock")) or list(work.glob("jobs/.*.lock"))):
-            time.sleep(0.005)
-        begun, used = spent(process), 0.0
+        while process.poll() is None and not held(work):
+            time.sleep(0.002)
+        begun, used, last = spent(process), 0.0, 0.0
         while process.poll() is None and (disturb is None or used < delay):
             used = max(used, spent(process) - begun)
+            last = used if held(work) else last  # a process closes down for a while after its files are whole
             time.sleep(0.002)
         if process.poll() is None and disturb is not None:
             process.send_signal(signal.SIGSTOP)
             disturb(process)
             process.send_signal(signal.SIGCONT)
         out, err = process.communicate(timeout=300)
-        return Ended(process.returncode, out, err, used)
+        return Ended(process.returncode, out, err, last)
     finally:
         if process.poll() is None:
             process.kill()
             process.communicate()
+
+
+def held(work: Path) -> bool:
+    """Has a command its folder, or one of its jobs?"""
+    return any(True for pattern in (".*.lock", "jobs/.*.lock") for _ in work.glob(pattern))
 
 
 def spent(process: subprocess.Popen) -> float:
