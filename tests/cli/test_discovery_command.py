@@ -1,11 +1,12 @@
 """python discover.py, as a user types it: what it leaves, what it says to bad input, and that training takes it up."""
 
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import QUICK, called, command, composed
+from commands import QUICK, called, command, composed, start
 
 from pgrssnn_jax.cli.discover import checked
 from pgrssnn_jax.discovery.discover import discover
@@ -125,6 +126,20 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
     assert found.judgement.verdict == "effect_found"
     assert found.selection.final.estimate.active == ("input_saturation",)
     assert found.selection.floor * np.std(setup.estimation.y[setup.estimation.mask]) == pytest.approx(0.02, rel=0.15)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_a_discovery_where_it_stands(tmp_path):
+    arguments = [*LINEAR, *files(tmp_path, samples=2000), *SHORT, "discovery.most=4", "hydra.run.dir=run"]
+    process = start(*arguments, cwd=tmp_path, script="discover.py")
+    assert process.stdout is not None
+    while "samples to learn from" not in (line := process.stdout.readline()):
+        assert line, process.communicate()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err == "stopped; discovery cannot be resumed, start it again\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"a.csv", "b.csv"}
 
 
 def refused(*arguments: str, cwd: Path, script: str) -> str:
