@@ -3,14 +3,15 @@
 # make test-slow  those that need more;  make test-all  both, compiled as users compile
 # make check   formatting, lint, layers and types
 # make install set up .venv alone;  make lock  renew the lock file;  make audit  its known vulnerabilities
-# make mutants  would the tests notice? 300 small faults in the code, one at a time
+# make coverage  lines of the package that no fast test runs; fails where these are more than 5 %
+# make mutants  would the tests notice? 300 small faults in the code, one at a time, after make coverage
 # make test-latest  the tests on the newest releases;  make test-oldest  on the lower bounds of pyproject.toml
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := pgrssnn_jax hydra_plugins tests benchmarks train.py discover.py report.py
 
-.PHONY: train test test-slow test-all test-latest test-oldest mutants check audit install lock
+.PHONY: train test test-slow test-all test-latest test-oldest coverage mutants check audit install lock
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
@@ -48,8 +49,12 @@ test-latest test-oldest: test-%:
 	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python --resolution $(RESOLUTION) --editable '.[test]'
 	$(VENV)-$*/bin/python -m pytest $(PYTEST_ARGUMENTS)
 
+coverage: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pytest-cov
+	$(BIN)/python -m pytest --cov --cov-context=test --cov-report=term --cov-fail-under=95 --junitxml=.coverage_times.xml
+
 mutants: install
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check cosmic-ray
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check cosmic-ray pytest-cov
 	$(BIN)/python tests/mutants.py
 
 audit: install

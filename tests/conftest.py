@@ -14,10 +14,11 @@ import pgrssnn_jax  # noqa: F401  sets flags of the compiler, which count before
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_num_cpu_devices", 2)
 
-# Many tests compile the same small programs; commands that tests start find them too.
+# Many tests compile the same small programs; commands that tests start find them too. Every worker has its own.
 _COMPILED = tempfile.TemporaryDirectory(prefix="pgrssnn_jax_compiled_")
-os.environ["JAX_COMPILATION_CACHE_DIR"] = _COMPILED.name
-jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
+if "PYTEST_XDIST_WORKER" in os.environ or "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = _COMPILED.name
+jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 # Without the slow tests nearly all time goes to the compiler, which takes about half as long with little optimisation.

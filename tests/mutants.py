@@ -1,11 +1,13 @@
-"""Would the tests notice? Small faults put into the code one at a time, and the tests run that look at it.
+"""Would the tests notice? Small faults put into the code one at a time, and the tests run that could see them.
 
+    make coverage                                                            which test runs which line, and how long
     python tests/mutants.py --count 300 --seed 0 --out mutants.json
 
 A mutant is one change by an operator of cosmic-ray (another operator or number, a negated condition, a removed
 decorator). They are drawn at random from `ROOMS`, each place at most once; annotations are left alone. A mutant is
-killed when a test fails, does not end in time, or the module no longer imports. Every worker has a copy of the tree of
-its own; the run goes on where it was interrupted. Needs the extra `mutants`.
+killed when a test fails that passes on the code as it is, when the tests do not end in time, or the module no longer
+imports. Every worker has a copy of the tree of its own; the run goes on where it was interrupted. Changes that no test
+can notice stand in `mutants_equivalent.json`, each with its reason, and are counted apart. Needs the extra `mutants`.
 """
 
 import argparse
@@ -13,27 +15,28 @@ import ast
 import json
 import os
 import random
-import re
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import Queue
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cosmic_ray.plugins
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
+from mutant_tests import BUDGET, ROOT, Measured, measured, tests_for
+from scipy.stats import binomtest
 
-ROOT = Path(__file__).parent.parent
 ROOMS = (
     *("physics", "effects", "training/metrics.py", "models/rollout.py"),
     *(f"discovery/{name}.py" for name in ("settings", "select", "verdict", "null", "likelihood")),
 )
-SECONDS = 240  # a mutant whose tests run longer is killed: they take less on the code as it is
-_COPIED = ("pgrssnn_jax", "hydra_plugins", "tests", "conf", "pyproject.toml", "train.py", "discover.py", "report.py")
+SECONDS = 4 * BUDGET  # a mutant whose tests run longer is killed
+EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 
 
 class Mutant(NamedTuple):
@@ -55,19 +58,27 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--minutes", type=float, default=60.0, help="no mutant begins later")
+    parser.add_argument("--coverage", type=Path, default=ROOT / ".coverage")
+    parser.add_argument("--times", type=Path, nargs="*", default=[ROOT / ".coverage_times.xml"])
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     arguments = parser.parse_args()
+    ends = time.monotonic() + 60 * arguments.minutes
     chosen = drawn(arguments.count, arguments.seed)
     done = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
     folders: Queue[Path] = Queue()
     with tempfile.TemporaryDirectory() as scratch:
         for k in range(arguments.workers):
             folders.put(copied(Path(scratch) / str(k)))
+        whole = copied(Path(scratch) / "whole")
+        known = measured(arguments.coverage, arguments.times, collected(whole))
 
         def judged(mutant: Mutant) -> None:
+            if time.monotonic() > ends:
+                return
             folder = folders.get()
             try:
-                done[mutant.name] = outcome(mutant, folder)
+                done[mutant.name] = outcome(mutant, folder, known)
             finally:
                 folders.put(folder)
             arguments.out.write_text(json.dumps(done, indent=1, sort_keys=True))
@@ -75,9 +86,26 @@ def main() -> None:
 
         with ThreadPoolExecutor(arguments.workers) as pool:
             list(pool.map(judged, [one for one in chosen if one.name not in done]))
-    found = [done[one.name] for one in chosen]
-    killed = sum(one["outcome"] != "survived" for one in found)
-    print(f"{killed} of {len(found)} mutants killed, {100 * killed / max(1, len(found)):.0f} %")
+        found = {one.name: done[one.name] for one in chosen if one.name in done}
+        told(found, len(chosen), unreliable(found, whole))
+
+
+def told(found: dict[str, dict[str, Any]], planned: int, without: set[str]) -> None:
+    """The share of killed mutants, and a table of the others. without: tests that fail on the code as it is."""
+    known = {(one["path"], one["change"]): one["reason"] for one in json.loads(EQUIVALENT.read_text())}
+    survived = {name: one for name, one in found.items() if one["outcome"] == "survived" or one["by"] in without}
+    same = {name: reason for name, one in survived.items()
+            if (reason := known.get((name.partition(":")[0], one["change"])))}  # fmt: skip
+    for name, one in survived.items():
+        print(
+            f"{'equivalent' if name in same else 'survived':10} {name}\n    {one['change']}\n    {same.get(name, '')}"
+        )
+    killed, late = len(found) - len(survived), sum(one["outcome"] == "timeout" for one in found.values())
+    for count, words in ((len(found), "mutants"), (len(found) - len(same), "mutants that are not equivalent")):
+        low, high = binomtest(killed, count).proportion_ci(method="wilson") if count else (0.0, 1.0)
+        share = killed / max(1, count)
+        print(f"{killed} of {count} {words} killed, {share:.1%} (95 % interval {low:.1%} to {high:.1%})")
+    print(f"{late} of them by time; {len(same)} equivalent; {planned - len(found)} of {planned} not tried")
 
 
 def drawn(count: int, seed: int) -> list[Mutant]:
@@ -113,27 +141,47 @@ def annotated(source: str) -> list[tuple[tuple[int, int], tuple[int, int]]]:
 
 
 def copied(folder: Path) -> Path:
-    folder.mkdir()
-    for name in _COPIED:
-        here, there = ROOT / name, folder / name
-        shutil.copytree(here, there, ignore=shutil.ignore_patterns("__pycache__")) if here.is_dir() else shutil.copy(
-            here, there
-        )
+    """Everything that git keeps, and what is new; tests read documents and configurations too."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
+        cwd=ROOT,
+        capture_output=True,
+        check=True,
+    )
+    for name in filter(None, listed.stdout.decode().split("\0")):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, folder / name)
     return folder
 
 
-def tests_of(path: str) -> list[str]:
-    """Tests that import the module: those in the room of the same name, else the others, else all of that room."""
-    module = path.removesuffix(".py").replace("/", ".")
-    room = ROOT / "tests" / Path(path).relative_to("pgrssnn_jax").parent
-    pattern = re.compile(rf"\bfrom {re.escape(module)} import|\bimport {re.escape(module)}\b")
-    tests = sorted((ROOT / "tests").rglob("test_*.py"))
-    importing = [one for one in tests if pattern.search(one.read_text(encoding="utf-8"))]
-    own = [one for one in importing if one.parent == room]
-    return [str(one.relative_to(ROOT)) for one in own or importing or sorted(room.glob("test_*.py"))]
+def collected(folder: Path) -> list[str]:
+    """Names of all tests."""
+    return [line for line in pytest(folder, ["--collect-only", "tests"], None).stdout.splitlines() if "::" in line]
 
 
-def outcome(mutant: Mutant, folder: Path) -> dict[str, str]:
+def pytest(folder: Path, arguments: list[str], seconds: float | None) -> subprocess.CompletedProcess[str]:
+    """Without other processes. Programs that were compiled before, of this copy, are found again."""
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-p", "no:cacheprovider", *arguments]
+    environment = {
+        **os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1",
+        "JAX_COMPILATION_CACHE_DIR": str(folder / ".jax_cache"),
+    }  # fmt: skip
+    return subprocess.run(command, cwd=folder, env=environment, timeout=seconds, capture_output=True, text=True)
+
+
+def unreliable(found: dict[str, dict[str, Any]], whole: Path) -> set[str]:
+    """Tests that killed a mutant, and fail on the code as it is too."""
+    by = sorted({one["by"] for one in found.values() if one["by"]})
+    return set(failed(pytest(whole, by, None).stdout)) if by else set()
+
+
+def failed(output: str) -> list[str]:
+    return [
+        line.split(" - ")[0].split(" ", 1)[1] for line in output.splitlines() if line.startswith(("FAILED ", "ERROR "))
+    ]
+
+
+def outcome(mutant: Mutant, folder: Path, known: Measured) -> dict[str, Any]:
     path = folder / mutant.path
     source = path.read_text(encoding="utf-8")
     changed = mutate_code(source, cosmic_ray.plugins.get_operator(mutant.operator)(), mutant.occurrence)
@@ -141,16 +189,17 @@ def outcome(mutant: Mutant, folder: Path) -> dict[str, str]:
     before, after = source.splitlines(), changed.splitlines()
     lines = [f"{a.strip()} -> {b.strip()}" for a, b in zip(before, after, strict=False) if a != b][:1]
     path.write_text(changed, encoding="utf-8")
-    command = [sys.executable, "-m", "pytest", "-x", "-n", "0", "-q", "-p", "no:cacheprovider", *tests_of(mutant.path)]
-    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    started, by = time.monotonic(), ""
     try:
-        ended = subprocess.run(command, cwd=folder, env=environment, timeout=SECONDS, capture_output=True, text=True)
-        result = "survived" if ended.returncode == 0 else "killed"
+        ended = pytest(folder, ["-x", *tests_for(mutant.path, mutant.line, known)], SECONDS)
+        result, by = ("survived", "") if ended.returncode == 0 else ("killed", next(iter(failed(ended.stdout)), ""))
     except subprocess.TimeoutExpired:
         result = "timeout"
+        shutil.rmtree(folder / ".jax_cache", ignore_errors=True)  # a program may be half written
     finally:
         path.write_text(source, encoding="utf-8")
-    return {"outcome": result, "change": lines[0] if lines else ""}
+    change = lines[0] if lines else ""
+    return {"outcome": result, "change": change, "by": by, "seconds": round(time.monotonic() - started, 1)}
 
 
 if __name__ == "__main__":
