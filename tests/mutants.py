@@ -59,12 +59,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--minutes", type=float, default=60.0, help="no mutant begins later")
+    parser.add_argument("--under", default="", help="of the sample, those in modules whose path begins so")
     parser.add_argument("--coverage", type=Path, default=ROOT / ".coverage")
     parser.add_argument("--times", type=Path, nargs="*", default=[ROOT / ".coverage_times.xml"])
     parser.add_argument("--out", type=Path, default=Path("mutants.json"))
     arguments = parser.parse_args()
     ends = time.monotonic() + 60 * arguments.minutes
-    chosen = drawn(arguments.count, arguments.seed)
+    chosen = [one for one in drawn(arguments.count, arguments.seed) if one.path.startswith(arguments.under)]
     done = json.loads(arguments.out.read_text()) if arguments.out.exists() else {}
     folders: Queue[Path] = Queue()
     with tempfile.TemporaryDirectory() as scratch:
