@@ -15,7 +15,9 @@ import ast
 import json
 import os
 import random
+import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -35,7 +37,7 @@ ROOMS = (
     *("physics", "effects", "training/metrics.py", "models/rollout.py"),
     *(f"discovery/{name}.py" for name in ("settings", "select", "verdict", "null", "likelihood")),
 )
-SECONDS = 4 * BUDGET  # a mutant whose tests run longer is killed
+SECONDS = int(4 * BUDGET)  # of processor time: a mutant whose tests need more is killed
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 
 
@@ -93,10 +95,8 @@ def main() -> None:
 
 def told(found: dict[str, dict[str, Any]], planned: int, without: set[str]) -> None:
     """The share of killed mutants, and a table of the others. without: tests that fail on the code as it is."""
-    known = {(one["path"], one["change"]): one["reason"] for one in json.loads(EQUIVALENT.read_text())}
     survived = {name: one for name, one in found.items() if one["outcome"] == "survived" or one["by"] in without}
-    same = {name: reason for name, one in survived.items()
-            if (reason := known.get((name.partition(":")[0], one["change"])))}  # fmt: skip
+    same = {name: reason for name, one in survived.items() if (reason := equivalent(name, one["change"]))}
     for name, one in survived.items():
         print(
             f"{'equivalent' if name in same else 'survived':10} {name}\n    {one['change']}\n    {same.get(name, '')}"
@@ -107,6 +107,14 @@ def told(found: dict[str, dict[str, Any]], planned: int, without: set[str]) -> N
         share = killed / max(1, count)
         print(f"{killed} of {count} {words} killed, {share:.1%} (95 % interval {low:.1%} to {high:.1%})")
     print(f"{late} of them by time; {len(same)} equivalent; {planned - len(found)} of {planned} not tried")
+
+
+def equivalent(name: str, change: str) -> str:
+    """Why no test can notice a change; "" for every other one."""
+    for one in json.loads(EQUIVALENT.read_text(encoding="utf-8")):
+        if name.startswith(one["path"]) and re.fullmatch(one["pattern"], change):
+            return one["reason"]
+    return ""
 
 
 def drawn(count: int, seed: int) -> list[Mutant]:
@@ -160,14 +168,19 @@ def collected(folder: Path) -> list[str]:
     return [line for line in pytest(folder, ["--collect-only", "tests"], None).stdout.splitlines() if "::" in line]
 
 
-def pytest(folder: Path, arguments: list[str], seconds: float | None) -> subprocess.CompletedProcess[str]:
-    """Without other processes. Programs that were compiled before, of this copy, are found again."""
-    command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-p", "no:cacheprovider", *arguments]
+def pytest(folder: Path, arguments: list[str], seconds: int | None) -> subprocess.CompletedProcess[str]:
+    """In one process, which may use so much of the processor. Programs that were compiled before, of this copy, are
+    found again."""
+    limit = f"resource.setrlimit(resource.RLIMIT_CPU, ({seconds}, {seconds}));" if seconds else ""
+    call = f"import resource, sys, pytest; {limit} sys.exit(pytest.main(sys.argv[1:]))"
+    options = ["-n", "0", "-q", "--tb=no", "-p", "no:cacheprovider"]
     environment = {
         **os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1",
         "JAX_COMPILATION_CACHE_DIR": str(folder / ".jax_cache"),
     }  # fmt: skip
-    return subprocess.run(command, cwd=folder, env=environment, timeout=seconds, capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, "-c", call, *options, *arguments], cwd=folder, env=environment, capture_output=True, text=True
+    )
 
 
 def unreliable(found: dict[str, dict[str, Any]], whole: Path) -> set[str]:
@@ -189,17 +202,21 @@ def outcome(mutant: Mutant, folder: Path, known: Measured) -> dict[str, Any]:
     assert changed is not None, mutant
     before, after = source.splitlines(), changed.splitlines()
     lines = [f"{a.strip()} -> {b.strip()}" for a, b in zip(before, after, strict=False) if a != b][:1]
+    change = lines[0] if lines else ""
+    if equivalent(mutant.name, change):
+        return {"outcome": "survived", "change": change, "by": "", "seconds": 0.0}
     path.write_text(changed, encoding="utf-8")
-    started, by = time.monotonic(), ""
+    started = time.monotonic()
     try:
         ended = pytest(folder, ["-x", *tests_for(mutant.path, mutant.line, known)], SECONDS)
-        result, by = ("survived", "") if ended.returncode == 0 else ("killed", next(iter(failed(ended.stdout)), ""))
-    except subprocess.TimeoutExpired:
-        result = "timeout"
-        shutil.rmtree(folder / ".jax_cache", ignore_errors=True)  # a program may be half written
     finally:
         path.write_text(source, encoding="utf-8")
-    change = lines[0] if lines else ""
+    by = next(iter(failed(ended.stdout)), "")
+    if ended.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        result = "timeout"
+        shutil.rmtree(folder / ".jax_cache", ignore_errors=True)  # a program may be half written
+    else:
+        result = "killed" if ended.returncode else "survived"
     return {"outcome": result, "change": change, "by": by, "seconds": round(time.monotonic() - started, 1)}
 
 
