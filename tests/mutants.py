@@ -165,7 +165,10 @@ def copied(folder: Path) -> Path:
 
 def collected(folder: Path) -> list[str]:
     """Names of all tests."""
-    return [line for line in pytest(folder, ["--collect-only", "tests"], None).stdout.splitlines() if "::" in line]
+    found = pytest(folder, ["--collect-only", "tests"], None).stdout
+    names = [line for line in found.splitlines() if "::" in line]
+    assert names, found
+    return names
 
 
 def pytest(folder: Path, arguments: list[str], seconds: int | None) -> subprocess.CompletedProcess[str]:
@@ -173,7 +176,7 @@ def pytest(folder: Path, arguments: list[str], seconds: int | None) -> subproces
     found again."""
     limit = f"resource.setrlimit(resource.RLIMIT_CPU, ({seconds}, {seconds}));" if seconds else ""
     call = f"import resource, sys, pytest; {limit} sys.exit(pytest.main(sys.argv[1:]))"
-    options = ["-n", "0", "-q", "--tb=no", "-p", "no:cacheprovider"]
+    options = ["-n", "0", "--tb=no", "-p", "no:cacheprovider"]
     environment = {
         **os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1",
         "JAX_COMPILATION_CACHE_DIR": str(folder / ".jax_cache"),
