@@ -1,6 +1,7 @@
 """Files of benchmarks and arms that are missing, cut off, damaged or of something else."""
 
 import io
+import os
 
 import numpy as np
 import pytest
@@ -200,6 +201,8 @@ def test_a_bad_urdf_is_refused(folder, content, settings, words, capfd):
     (folder / "robot.urdf").write_text(content)
     refused(lambda: pg.physics.arm(urdf="robot.urdf", **settings), "physics.", words)
     assert capfd.readouterr().err == ""
+    os.write(2, b"said later")
+    assert capfd.readouterr() == ("", "said later")
 
 
 def test_an_arm_of_other_joints_than_the_data_is_refused(folder):

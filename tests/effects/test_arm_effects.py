@@ -8,7 +8,7 @@ import pytest
 from arm_cases import DT, NUMBERS, SPEED, effect, mapped, samples
 from toys import quick_jit
 
-from pgrssnn_jax.effects.base import add
+from pgrssnn_jax.effects.base import SignalRange, add
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
 
@@ -188,3 +188,10 @@ def test_encoders_show_another_zero():
     np.testing.assert_allclose(np.asarray(new)[within], (np.asarray(true) + shift)[within], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(np.asarray(y)[free], (np.asarray(q) + shift[:6])[free], rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(y, np.clip(y, KUKA.position_min, KUKA.position_max))
+
+
+def test_a_counterbalance_is_looked_for_among_torques_that_the_motor_has_to_hold():
+    gear, most = np.abs(G), np.arange(1.0, 7.0)
+    span = SignalRange(np.zeros((2, 12)), np.array([-most, most]), np.zeros((2, 6)))
+    for start in effect("gravity_counterbalance").guesses(span):
+        assert 0.05 * gear[1] * most[1] <= start["moment"] <= gear[1] * most[1]

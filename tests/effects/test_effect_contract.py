@@ -51,6 +51,20 @@ def signal_range_of(physics: Physics) -> SignalRange:
     return SignalRange(*(np.sort(draw.uniform(0.0, 5.0, (2, n)), 0) for n in sizes))
 
 
+NEVER_NEGATIVE = [
+    ("pendulum", "viscous_friction", "c"), ("pendulum", "quadratic_drag", "c"), ("pendulum", "linear_spring", "k"),
+    ("pendulum", "coulomb_friction", "a"), ("pendulum", "hysteresis", "k"), ("pendulum", "hysteresis", "s"),
+    ("toy", "backlash", "half_width"), ("tanks", "leak_tank1", "rate"), ("tanks", "overflow_lost", "level"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("system", "name", "number"), NEVER_NEGATIVE)
+def test_strengths_widths_and_levels_are_never_negative(system, name, number):
+    shape = effect(system, name).shapes.get(number, ())
+    with pytest.raises(ValueError, match=rf"{name}.{number}: expected 0 to"):
+        add(SYSTEMS[system](), effect(system, name), numbers={name: {number: np.full(shape, -0.5)}})
+
+
 @cache
 def mapped(system: str, name: str | None):
     """(x, u) to next states and outputs; x may be wider than the physics wants."""

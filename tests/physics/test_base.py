@@ -6,6 +6,7 @@ import pytest
 from pgrssnn_jax.physics.base import Parameter, Signal, continuous, discrete, is_parameter
 from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.linear import lgssm
+from pgrssnn_jax.physics.signals import checked_span
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 SIGNALS = {"states": (Signal("x"),), "inputs": (Signal("u"),), "outputs": (Signal("y"),)}
@@ -110,3 +111,13 @@ def test_check_physics_finds_wrong_shapes_without_computing():
         check_physics(good._replace(step=lambda p, x, u: x[0]), "here")
     with pytest.raises(ValueError, match=r"physics 'd': step: .*found KeyError: 'speed'"):
         check_physics(good._replace(step=lambda p, x, u: x * p["speed"]), "here")
+
+
+def test_a_span_ends_at_its_numbers_and_at_infinity_where_no_float_holds_them():
+    largest = np.finfo(np.float64).max
+    assert checked_span("here", (-largest, largest)) == (-largest, largest)
+    assert checked_span("here", [-(10**400), 10**400]) == (-np.inf, np.inf)
+    assert checked_span("here", (2, 2)) == (2.0, 2.0)
+    for wrong in ((1.0, 0.0), (0.0, np.nan), (0.0, "1"), (0.0, 1.0, 2.0), 0.0):
+        with pytest.raises(ValueError, match=r"here: expected \(low, high\) with low ≤ high, found"):
+            checked_span("here", wrong)

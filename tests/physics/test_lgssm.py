@@ -87,6 +87,12 @@ def test_wrong_shapes_are_named(name, matrix, expected):
         lgssm(**{**PUBLISHED, name: matrix})
 
 
+@pytest.mark.parametrize("matrix", [np.array(0.7), np.array([0.7]), np.full((1, 2, 2), 0.1), [[0.7, 0.8], [0.1]]])
+def test_a_matrix_has_rows_of_equal_length(matrix):
+    with pytest.raises(ValueError, match="A: expected rows of numbers of equal length, found"):
+        lgssm(**{**PUBLISHED, "A": matrix})
+
+
 def test_matrices_must_fit_the_signal_names():
     with pytest.raises(ValueError, match=r"B: expected shape \(2, 2\), found \(2, 1\)"):
         lgssm(**PUBLISHED, inputs=("f", "g"))
