@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.integrate import DerivativePoints, Integrator, derivative_points, held
-from pgrssnn_jax.physics.signals import Parameter, Signal, check_number, checked_signals, is_parameter
+from pgrssnn_jax.physics.signals import Parameter, Signal, check_number, checked_signals, is_parameter, written
 from pgrssnn_jax.records.arguments import check_kind, positive, shown
 
 Params = Any
@@ -105,6 +105,18 @@ class Physics(NamedTuple):
             origin=self.origin._replace(settings=settings),
             discovered=self.discovered,
         )
+
+    def __repr__(self) -> str:
+        """What a person asks of a physics, a line each: its signals with their units, and its numbers."""
+        lines = [f"Physics {self.name!r}, one sample every {self.dt:g} s"]
+        for what in ("inputs", "states", "outputs"):
+            lines.append(f"  {what}: " + ", ".join(f"{s.name} ({s.unit or '–'})" for s in getattr(self, what)))
+        meanings = jax.tree.leaves(self.parameters, is_leaf=is_parameter)
+        numbers = [
+            f"{jax.tree_util.keystr(path, simple=True, separator='.')} = {written(value)} {meaning.unit}".rstrip()
+            for (path, value), meaning in zip(jax.tree_util.tree_leaves_with_path(self.params), meanings, strict=False)
+        ]
+        return "\n".join([*lines, "  parameters: " + (", ".join(numbers) or "none")])
 
 
 def _kept(present: Params, before: Params, after: Params) -> Params:

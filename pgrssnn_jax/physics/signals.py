@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from pgrssnn_jax.records.arguments import check_kind, real_numbers, shown
@@ -75,6 +76,13 @@ def checked_span(where: str, given: Any) -> tuple[float, float]:
     most = sys.float_info.max  # which a whole number may exceed
     low, high = (np.inf if end > most else -np.inf if end < -most else float(end) for end in ends)
     return low, high
+
+
+def written(value: Any) -> str:
+    """A number, or several, in four digits; what a compiler traces as it says itself."""
+    if isinstance(value, jax.core.Tracer):
+        return str(value)
+    return f"{float(value):.4g}" if np.ndim(value) == 0 else f"[{', '.join(map(written, np.asarray(value)))}]"
 
 
 def check_number(where: str, value: Any, meaning: Parameter) -> None:

@@ -62,6 +62,22 @@ class Record(NamedTuple):
     info: RecordInfo
     validation: "Record | None" = None
 
+    def __repr__(self) -> str:
+        """What a person asks of a record: how much, of what, and from where."""
+        columns = [
+            ", ".join(f"{c.name} ({c.unit or '–'})" for c in part) for part in (self.info.inputs, self.info.outputs)
+        ]
+        aside = "" if self.validation is None else f"\n  validation: {_size(self.validation)}"
+        source = f"\n  source: {self.info.source}" + (f": {self.info.origin}" if self.info.origin else "")
+        return f"Record of {_size(self)}\n  inputs: {columns[0]}\n  outputs: {columns[1]}{aside}{source}"
+
+
+def _size(whole: Record) -> str:
+    *lead, n_seq, time, _ = np.shape(whole.u)
+    counts = [*((count, "dataset") for count in lead), (n_seq, "sequence")]
+    several = " of ".join(f"{count} {what}{'s' * (count > 1)}" for count, what in counts)
+    return f"{several} of {time} samples, one every {whole.info.dt:g} s"
+
 
 class Splits(NamedTuple):
     """The three records of an experiment; each with a leading axis over datasets (realisations)."""

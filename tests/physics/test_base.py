@@ -121,3 +121,28 @@ def test_a_span_ends_at_its_numbers_and_at_infinity_where_no_float_holds_them():
     for wrong in ((1.0, 0.0), (0.0, np.nan), (0.0, "1"), (0.0, 1.0, 2.0), 0.0):
         with pytest.raises(ValueError, match=r"here: expected \(low, high\) with low ≤ high, found"):
             checked_span("here", wrong)
+
+
+def test_a_physics_shows_its_signals_and_numbers():
+    numbers = {"rate": 0.51234, "more": {"gains": np.array([1.0, 2.5])}}
+    meanings = {"rate": Parameter("r", "1/s"), "more": {"gains": Parameter("g")}}
+    physics = discrete("d", decay, read, numbers, dt=0.25, parameters=meanings, **SIGNALS)
+    said = repr(physics._replace(outputs=(Signal("level", "V"), Signal("flow", "l/s"))))
+    assert said.splitlines() == [
+        "Physics 'd', one sample every 0.25 s",
+        "  inputs: u (–)",
+        "  states: x (–)",
+        "  outputs: level (V), flow (l/s)",
+        "  parameters: more.gains = [1, 2.5], rate = 0.5123 1/s",
+    ]
+
+
+def test_a_physics_shows_itself_inside_a_compiled_function():
+    said = []
+
+    def inside(rate):
+        said.append(repr(discrete("d", decay, read, {"rate": 1.0}, dt=1.0, **SIGNALS)._replace(params={"rate": rate})))
+        return rate
+
+    jax.jit(inside)(1.0)
+    assert "rate = " in said[0]

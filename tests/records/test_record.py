@@ -167,3 +167,16 @@ def test_a_record_passes_through_jit_and_vmap_with_its_info():
     np.testing.assert_allclose(value, 0.5 * np.sum(whole.y**2), rtol=1e-5)
     each = jax.vmap(lambda r: r.y.sum())(stack([whole, whole]))
     np.testing.assert_allclose(each, [whole.y.sum()] * 2, rtol=1e-5)
+
+
+def test_a_record_shows_how_much_of_what_from_where():
+    u, y = signals(1, 6)
+    whole = record(u, y, INFO)
+    assert repr(whole._replace(validation=crop(whole, 4, 6))).splitlines() == [
+        "Record of 1 sequence of 6 samples, one every 0.1 s",
+        "  inputs: f (N), g (–)",
+        "  outputs: p (m)",
+        "  validation: 1 sequence of 2 samples, one every 0.1 s",
+        "  source: file: somewhere",
+    ]
+    assert repr(stack([record(*signals(), INFO)] * 3)).startswith("Record of 3 datasets of 2 sequences of 6 samples")
