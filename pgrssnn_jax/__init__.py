@@ -20,7 +20,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
     "discover", "effects", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "physics", "read_csv",
-    "record", "rollout", "simulate",
+    "read_physics", "record", "rollout", "simulate",
 ]  # fmt: skip
 
 # jaxlib 0.10.2 computes products with a constant matrix of equal numbers wrongly on CPUs when it fuses them with what

@@ -33,7 +33,7 @@ from pgrssnn_jax.discovery.serialise import discovery_arrays, discovery_json
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
 from pgrssnn_jax.effects.base import Effect
-from pgrssnn_jax.effects.stored import settings_to_json, stored_physics
+from pgrssnn_jax.effects.stored import read_stored, settings_to_json, stored_physics
 from pgrssnn_jax.effects.systems import add_effect as add
 from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
 from pgrssnn_jax.models.spec import ModelSpec, changes_of
@@ -47,7 +47,7 @@ from pgrssnn_jax.records.matching import A_RECORD
 from pgrssnn_jax.records.record import Array, Record, Start
 from pgrssnn_jax.reports.discovered import Discovered
 from pgrssnn_jax.reports.ensemble import Ensemble
-from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.reports.saved import load, restored_physics
 from pgrssnn_jax.training.choose import choose_settings, settled
 from pgrssnn_jax.training.evaluation import trained_members
 from pgrssnn_jax.training.loop import Progress
@@ -58,8 +58,8 @@ from pgrssnn_jax.training.train import first_checkpoint, train_members
 
 __all__ = [
     "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
-    "discover", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "record", "rollout",
-    "simulate",
+    "discover", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "read_physics", "record",
+    "rollout", "simulate",
 ]  # fmt: skip
 
 Callback = Callable[[Progress], bool | None]
@@ -228,6 +228,19 @@ def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") ->
     if start not in get_args(Start):
         raise ValueError(f"start: expected one of {list(get_args(Start))}, found {start!r}")
     return _read_csv(path, channels(physics.inputs), channels(physics.outputs), physics.dt, start=start)
+
+
+def read_physics(path: str | Path, physics: Physics | None = None, *, effects: Sequence[Effect] = ()) -> Physics:
+    """The physics that a discovery or a training run left in its folder, with its numbers and effects.
+
+    path: the folder, or its `discovery.json` or `physics.json`; physics: of one's own, as the run was given it, None
+    for one of the library; effects: of one's own. Raises `ValueError` where there is none, or that of another
+    physics."""
+    check_kind("path", path, str | Path, "the name of a folder")
+    given = Path(path)
+    names = (given / name for name in ("discovery.json", "physics.json"))
+    file = next((file for file in names if file.is_file()), given / "discovery.json") if given.is_dir() else given
+    return restored_physics(read_stored(file, "path"), file, physics=physics, effects=effects)
 
 
 def load_arm_log(

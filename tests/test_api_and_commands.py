@@ -79,3 +79,4 @@ def test_discover_gives_the_numbers_of_the_command(tmp_path):
     assert {key: same[key] for key in ("verdict", "numbers", "gap", "network", "parameters")} == {
         key: expected[key] for key in ("verdict", "numbers", "gap", "network", "parameters")
     }
+    assert repr(pg.read_physics(tmp_path / "run")) == repr(found.physics)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pgrssnn_jax as pg
+from pgrssnn_jax.effects.stored import physics_to_json
 
 QUICK = {"seeds": 2, "epochs": 2, "validate_every": 1, "chunk_epochs": 1, "hidden": 3, "quiet": True}
 QUICK["recipe"] = "default"  # what is chosen is a matter of other tests
@@ -56,6 +57,34 @@ def test_an_own_physics_trains_saves_and_is_given_again(tmp_path):
         pg.load(tmp_path / "run", physics=pg.physics.cascaded_tanks())
 
 
+@pytest.mark.parametrize("name", ["discovery.json", "physics.json"])
+def test_a_physics_is_read_back_with_its_numbers_and_effects(tmp_path, name):
+    known = pg.add(pendulum(damping=0.3), "quadratic_drag", c=0.2)
+    file = tmp_path / name
+    file.write_text(json.dumps(physics_to_json(known)))
+    u, y = swing(known, noise=0.0)
+    for place in (tmp_path, file, str(file)):
+        again = pg.read_physics(place, pendulum())
+        np.testing.assert_array_equal(pg.simulate(again, u, np.zeros(2)).y, y)
+        assert repr(again) == repr(known)
+
+
+def test_a_physics_of_the_library_is_read_back_alone(tmp_path):
+    tanks = pg.add(pg.physics.cascaded_tanks(k1=0.05), "leak_tank1", rate=1e-3)
+    (tmp_path / "physics.json").write_text(json.dumps(physics_to_json(tanks)))
+    assert repr(pg.read_physics(tmp_path)) == repr(tanks)
+
+
+def test_what_is_no_stored_physics_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"path: expected a discovery.json, found '.*discovery.json'"):
+        pg.read_physics(tmp_path)
+    (tmp_path / "physics.json").write_text(json.dumps(physics_to_json(pendulum())))
+    with pytest.raises(ValueError, match="expected the physics of one's own"):
+        pg.read_physics(tmp_path)
+    with pytest.raises(ValueError, match="states: expected"):
+        pg.read_physics(tmp_path, pg.physics.cascaded_tanks())
+
+
 def test_units_are_converted_or_refused():
     u, y = swing(pendulum())
     plain = pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest")
@@ -98,6 +127,8 @@ def test_discovery_finds_a_hidden_effect_of_the_users_own(tmp_path):
     assert np.sqrt(np.mean((y - records[1].y) ** 2)) == pytest.approx(found.gap["after"]["test"], rel=0.2)
     found.save(tmp_path / "found")
     assert json.loads((tmp_path / "found" / "discovery.json").read_text())["verdict"] == found.verdict
+    again = pg.read_physics(tmp_path / "found", pendulum(), effects=[spring])
+    np.testing.assert_array_equal(pg.simulate(again, records[1].u, np.zeros(2)).y, y)
     better = pg.fit("pg_rssnn", found.physics, records[0], **QUICK)
     assert better.settings.model.start_from_physics
     assert "twisted_wire" in repr(better.physics.params)

@@ -4,8 +4,8 @@ import sys
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 from pgrssnn_jax.records.arguments import check_kind, real_numbers, shown
 
@@ -80,7 +80,7 @@ def checked_span(where: str, given: Any) -> tuple[float, float]:
 
 def written(value: Any) -> str:
     """A number, or several, in four digits; what a compiler traces as it says itself."""
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return str(value)
     return f"{float(value):.4g}" if np.ndim(value) == 0 else f"[{', '.join(map(written, np.asarray(value)))}]"
 
