@@ -1,6 +1,7 @@
 # make train   set up .venv and train PG-RSSNN on the cascaded tanks (about a minute)
 # make test    set up .venv and run the tests that take minutes
 # make test-slow  those that need more;  make test-all  both, compiled as users compile
+# make notebooks  execute examples/ again and store what they show
 # make check   formatting, lint, layers and types
 # make install set up .venv alone;  make lock  renew the lock file;  make audit  its known vulnerabilities
 # make coverage  lines of the package that no fast test runs; fails where these are more than 5 %
@@ -9,9 +10,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := pgrssnn_jax hydra_plugins tests benchmarks train.py discover.py report.py
+SOURCES := pgrssnn_jax hydra_plugins tests benchmarks examples train.py discover.py report.py
 
-.PHONY: train test test-slow test-all test-latest test-oldest coverage mutants check audit install lock
+.PHONY: train test test-slow test-all test-latest test-oldest notebooks coverage mutants check audit install lock
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
@@ -23,6 +24,9 @@ test-slow: install
 
 test-all: install
 	$(BIN)/python -m pytest -m ""
+
+notebooks: install
+	$(BIN)/python examples/execute.py
 
 check: install
 	$(BIN)/ruff format --check $(SOURCES)
