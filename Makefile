@@ -3,6 +3,7 @@
 # make test-slow  those that need more;  make test-all  both, compiled as users compile
 # make notebooks  execute examples/ again and store what they show
 # make check   formatting, lint, layers and types
+# make docs    build the documentation into site/;  make docs-serve  show it while you write
 # make install set up .venv alone;  make lock  renew the lock file;  make audit  its known vulnerabilities
 # make coverage  lines of the package that no fast test runs; fails where these are more than 5 %
 # make mutants  would the tests notice? 300 small faults in the code, one at a time, after make coverage
@@ -10,9 +11,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SOURCES := pgrssnn_jax hydra_plugins tests benchmarks examples train.py discover.py report.py
+SOURCES := pgrssnn_jax hydra_plugins tests benchmarks docs examples train.py discover.py report.py
 
-.PHONY: train test test-slow test-all test-latest test-oldest notebooks coverage mutants check audit install lock
+.PHONY: train test test-slow test-all test-latest test-oldest notebooks coverage mutants check docs docs-serve audit
+.PHONY: install lock
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
@@ -33,6 +35,12 @@ check: install
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/lint-imports
 	$(BIN)/pyright
+
+docs: install
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+
+docs-serve: docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
 
 install: $(VENV)/.installed
 
@@ -67,5 +75,5 @@ audit: install
 
 lock: install
 	$(BIN)/python -m pip install --quiet pip-tools
-	$(BIN)/pip-compile --quiet --generate-hashes --extra test --extra check --strip-extras --no-emit-index-url \
+	$(BIN)/pip-compile --quiet --generate-hashes --extra test --extra check --extra docs --strip-extras --no-emit-index-url \
 	  --no-emit-find-links --no-emit-trusted-host --output-file requirements.lock pyproject.toml

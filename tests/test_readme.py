@@ -6,34 +6,24 @@ import re
 import shlex
 from pathlib import Path
 
-import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from blocks import BLOCK, SCRIPTS, blocks, run_page, saved_block, shell_lines
 from commands import ROOT, called, command, composed
 from hydra import compose, initialize_config_dir
+from workplace import furnish, pendulum, pendulum_csv
 
-import pgrssnn_jax as pg
 from pgrssnn_jax.cli.config_store import register
 from pgrssnn_jax.discovery.verdict import Verdict
-from pgrssnn_jax.records.arguments import call_with
-from pgrssnn_jax.records.record import Record, crop
 
-README = ROOT / "README.md"
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md")), ROOT / "runs/README.md"]
-BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.M | re.S)
-SCRIPTS = ("python train.py", "python discover.py", "python report.py")
-COMMANDS = sorted(
-    {
-        line.split(" #")[0].strip()
-        for page in PAGES
-        for line in page.read_text().replace("\\\n", "").splitlines()
-        if line.startswith(SCRIPTS)
-    }
-)
-BLOCKS = [block for language, block in BLOCK.findall(README.read_text()) if language == "python"]
-FIRST, EXAMPLE = BLOCKS[0], next(block for block in BLOCKS if "# my_physics.py" in block)
+README, DOCS = ROOT / "README.md", ROOT / "docs"
+PAGES = [README, *sorted(DOCS.glob("*.md")), ROOT / "runs/README.md"]
+SHELL = {line for page in PAGES for language, text in blocks(page) if language == "bash" for line in shell_lines(text)}
+COMMANDS = sorted(line for line in SHELL if line.startswith(tuple(f"python {script}" for script in SCRIPTS)))
+EXAMPLE = saved_block(README, "my_physics.py")
+#: blocks of these languages are output, files and trees, which nobody runs
+NO_CODE = {"text", "json", "yaml", "xml"}
 
 
 def prose(page: Path) -> str:
@@ -72,6 +62,8 @@ def test_every_link_leads_somewhere(page):
         if re.match(r"\w+:", link):
             continue
         path, _, heading = link.partition("#")
+        if path.endswith(".ipynb") and not any(ROOT.glob("examples/*.ipynb")):
+            continue
         there = (page.parent / path).resolve() if path else page
         assert there.exists(), link
         if heading:
@@ -81,7 +73,7 @@ def test_every_link_leads_somewhere(page):
 
 #: written by a run, or the reader's own
 _NOT_HERE = re.compile(
-    r"[A-Z]\.csv|my_\w+\.\w+|(config\.yaml|environment\.json|physics\.json|history\.csv|metrics\.json"
+    r"[A-Z]\.csv|my_\w+\.\w+|measure\.py|site/.*|(config\.yaml|environment\.json|physics\.json|history\.csv|metrics\.json"
     r"|(predictions|intervals)\.npz|report\.html|discovery\.(json|npz)|corrected\.(json|urdf)|traceback\.txt|tables\.\w+)"
     r"|(checkpoint|figures)/.*|table1_tank/.*|runs/.+/.+"
 )
@@ -120,52 +112,42 @@ def test_every_module_in_the_text_can_be_imported():
                 assert hasattr(importlib.import_module(module), last), f"{page.name}: {name}"
 
 
-CHEAP = {"network_epochs": 0, "folds": 2, "draws": 99, "starts": 1, "most": 1, "block": 20}
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_block_says_what_it_is(page):
+    """A block without a language would be neither run nor seen to be output."""
+    assert len(re.findall(r"^ *```", page.read_text(), flags=re.M)) == 2 * len(blocks(page))
+    assert {language for language, _ in blocks(page)} <= {"python", "bash", *NO_CODE}
 
 
-@pytest.mark.slow
-def test_the_first_python_block_runs_as_written(monkeypatch):
-    """Generated records, one seed, two epochs, a cheap discovery."""
-    load, fit, discover = pg.load_benchmark, pg.fit, pg.discover
-
-    def generated(name: str) -> tuple[Record, Record]:
-        train, test = load(name, generated=True, n_train=384)
-        return train, crop(test, 0, 256)
-
-    monkeypatch.setattr(pg, "load_benchmark", generated)
-    monkeypatch.setattr(pg, "fit", lambda *given: fit(*given, seeds=1, epochs=2, hidden=3, folds=0, quiet=True))
-    monkeypatch.setattr(pg, "discover", lambda *given: discover(*given, **CHEAP, quiet=True))
-    said: dict = {}
-    exec(compile(FIRST, "README.md", "exec"), said)
-    assert said["found"].verdict in set(Verdict)
-    assert said["y"].shape == (1, 1, 256, 1)
-    assert np.isfinite(said["y"]).all()
-    table = said["ensemble"].score(said["test"])
-    assert isinstance(table, pd.DataFrame)
-    assert len(table) == 1
-    assert said["better"].physics.discovered
-    plt.close("all")
+def test_the_tutorial_and_the_readme_show_the_same_physics():
+    assert saved_block(DOCS / "tutorial.md", "my_physics.py") == EXAMPLE
 
 
-def pendulum_csv(path, physics, samples: int, seed: int):
-    """A pendulum simulated by its own physics with drag that the model does not know."""
-    rng = np.random.default_rng(seed)
-    u = np.repeat(rng.uniform(-3, 3, (samples // 10, 1)), 10, axis=0)
-    x, y = jnp.zeros(2), []
-    for u_t in u:
-        x = physics.step(physics.params, x, jnp.asarray(u_t, jnp.float32))
-        x = x.at[1].add(-0.02 * x[1] * jnp.abs(x[1]))
-        y.append(physics.measure(physics.params, x, u_t))
-    columns = {"time": np.arange(samples) * physics.dt, "torque": u[:, 0], "angle": np.ravel(y)}
-    pd.DataFrame(columns).to_csv(path, index=False)
+CODE = [page for page in PAGES if {"python", "bash"} & {language for language, _ in blocks(page)}]
+QUICK_PAGES = ("catalogue",)
+
+
+@pytest.mark.parametrize(
+    "page", [page if page.stem in QUICK_PAGES else pytest.param(page, marks=pytest.mark.slow) for page in CODE],
+    ids=lambda page: f"{page.parent.name}_{page.stem}",
+)  # fmt: skip
+def test_every_block_runs_as_printed(page, tmp_path, monkeypatch):
+    furnish(tmp_path, page)
+    said = run_page(page, tmp_path, monkeypatch)
+    if page == README:
+        assert said["found"].verdict in set(Verdict)
+        assert said["y"].shape == (1, 1, 256, 1)
+        assert np.isfinite(said["y"]).all()
+        table = said["ensemble"].score(said["test"])
+        assert isinstance(table, pd.DataFrame)
+        assert len(table) == 1
+        assert said["better"].physics.discovered
 
 
 @pytest.mark.slow
 def test_the_own_physics_example_trains_on_own_data(tmp_path):
     (tmp_path / "my_physics.py").write_text(EXAMPLE)
-    namespace: dict = {}
-    exec(compile(EXAMPLE, "my_physics.py", "exec"), namespace)
-    physics = call_with(namespace["pendulum"], {}, "physics")
+    physics = pendulum()
     pendulum_csv(tmp_path / "A.csv", physics, 200, 0)
     pendulum_csv(tmp_path / "B.csv", physics, 100, 1)
     code, _, err = command(
