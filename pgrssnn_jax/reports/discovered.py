@@ -33,9 +33,11 @@ class FoundEffect(NamedTuple):
 
 
 class Discovered:
-    """verdict, sentence; effects: the missing ones; physics: the nominal one with refitted parameters and with the
-    effects in it; gap: errors of the nominal, the recalibrated and the final physics on both records; details: all of
-    `discovery.json`; arrays: of `discovery.npz`."""
+    """The answer of a discovery.
+
+    verdict: one of `discovery/verdict.py`; sentence: the answer in one line; effects: the missing ones; physics: the
+    nominal one with refitted parameters and the effects; gap: errors of the nominal, the recalibrated and the final
+    physics on both records; details: all of `discovery.json`; arrays: of `discovery.npz`."""
 
     def __init__(
         self,
