@@ -1,4 +1,4 @@
-"""The Python API: train on a physics and a record, find what the physics lacks, simulate, save and load.
+"""The Python API: train on a physics and a record, discover missing effects, simulate, save and load.
 
     train, test = load_benchmark("cascaded_tank")
     ensemble = fit("pg_rssnn", physics.cascaded_tanks(clamp=True), train);     ensemble.score(test)
@@ -83,15 +83,15 @@ def fit(
         L(θ) = Σ_t ((y_t - ŷ_t(θ)) / s_y)²,   ŷ a free run;   best parameters by validation error
 
     model: a variant (`pg_rssnn`, `rssnn`, `physics_only`, ...) or a `ModelSpec`. recipe: `experiment`, the settings of
-    the benchmark's experiment; `default`; `auto`, chosen on what members leave out of the record, with the physics
-    alone among the candidates (`training/choose.py`; settings that are given stay); None: `experiment` where the
-    record is a benchmark's, else `auto`. A physics from a discovery is trained on as the commands do. seeds: how many,
-    None: the recipe's own; seed: the first. validation: None takes the part that came with the data, or the tail of
-    train. callback: called after every chunk of epochs; training stops when it returns True. settings: any of
+    the benchmark's experiment; `default`; `auto`, the settings that predict left-out blocks of the record best, with
+    the physics alone among the candidates (`training/choose.py`; given settings stay); None: `experiment` for a record
+    of a benchmark, else `auto`. After a discovery the settings are those of the commands. seeds: how many, None: the
+    recipe's own; seed: the first. validation: None takes the part that came with the data, or the tail of train.
+    callback: called after every chunk of epochs; training stops when it returns True. settings: any of
     `training/settings.py` by name (epochs=200, learning_rate=1e-3, initial_state="estimated", ...).
 
-    Members that leave the floating-point range do not raise: they are failed, counted and named. Raises `ValueError`
-    for records that do not fit the physics and for settings that cannot be.
+    Members that leave the floating-point range do not raise: they count as failed and are named. Raises `ValueError`
+    for records that do not fit the physics and for settings out of their range.
     """
     check_given(physics)
     _check_record("train", train)
@@ -151,12 +151,14 @@ def discover(
     quiet: bool = False,
     **settings: Any,
 ) -> Discovered:
-    """Finds where a physics and a record disagree, names the missing effect, adds it, and shows the gap on the test
-    record, which nothing before has seen.
+    """Finds where a physics and a record disagree, names the missing effect, adds it, and measures the gap on the test
+    record, which no earlier step has seen.
 
-    effects: of one's own, beside those of the catalogue; without: names that the catalogue is to do without;
-    realisation: which dataset of the records. The part that validates training belongs to the estimation record here.
-    settings: any of `discovery/settings.py` by name. Raises `ValueError` for bad input, before any work.
+        gap = RMS error of the recalibrated physics - RMS of the noise
+
+    effects: your own ones, candidates beside those of the catalogue; without: names of effects that are no candidates;
+    realisation: which dataset of the records; validation: a further part of the estimation record; settings: any of
+    `discovery/settings.py` by name. Raises `ValueError` for bad input, before any work.
     """
     check_given(physics)
     _check_record("train", train)
@@ -221,8 +223,8 @@ def discovered(
 def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") -> Record:
     """A record from a CSV file whose columns are named after the inputs and outputs of the physics, in its units.
 
-    start: what is known of the initial state. Raises `ValueError` with file, line and column for a file that does not
-    fit."""
+    start: the known part of the initial state, as in `record`. Raises `ValueError` with file, line and column for a
+    file that does not fit."""
     check_given(physics)
     check_kind("path", path, str | Path, "the name of a CSV file")
     if start not in get_args(Start):
@@ -249,7 +251,7 @@ def load_arm_log(
     """Training and test record of an arm from its logs, CSV or NPZ, every `physics.dt` s.
 
     test: None takes the last third of `train`. settings: names, units and sides of the columns, the transmission and
-    the filter, as in `data/arm_log.py`. Raises `ValueError` for files that do not hold what is named."""
+    the filter, as in `data/arm_log.py`. Raises `ValueError` for files without the named columns."""
     check_given(physics)
     given = {"train": train, "test": test, **settings}
     return as_records(call_with(_load_arm_log, given, "load_arm_log", physics=physics))
@@ -259,8 +261,8 @@ def simulate(physics: Physics, u: Array, x0: Array) -> Trajectory:
     """Free run of a physics alone in double precision: x_t = step(p, x_{t-1}, u_t), y_t = measure(p, x_t, u_t).
 
     u `[time, input]` or `[sequence, time, input]`, x0 `[state]` or `[sequence, state]`. A state that leaves the
-    floating-point range does not raise: `first_bad` says where. Raises `ValueError` for other shapes, for what is no
-    number, and for a physics whose functions do not return what its signals say."""
+    floating-point range does not raise: `first_bad` states where. Raises `ValueError` for other shapes, for values that
+    are no numbers, and for a physics whose functions return other shapes than its signals state."""
     check_given(physics)
     u, n_x = checked_inputs(u, len(physics.inputs)), len(physics.states)
     sequences = u if u.ndim == 3 else u[None]

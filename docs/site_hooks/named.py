@@ -35,7 +35,7 @@ def _fields(one: griffe.Object) -> str:
     """The arguments of a NamedTuple or dataclass, one on each line."""
     lines = ""
     for member in one.members.values() if "NamedTuple" in map(str, one.bases) or "dataclass" in one.labels else ():
-        if member.is_attribute and member.annotation is not None and "class-attribute" in member.labels | {"class-attribute"}:
+        if member.is_attribute and member.annotation is not None and "property" not in member.labels:
             default = "" if member.value is None else f" = {member.value}"
             lines += f"    {member.name}: {member.annotation}{default},\n"
     return lines

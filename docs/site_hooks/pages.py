@@ -152,4 +152,5 @@ def _converted(path: Path) -> dict[str, Any]:
     pictures = {f"{path.stem}_{name}": data for name, data in resources["outputs"].items()}
     for name in resources["outputs"]:
         text = text.replace(f"]({name})", f"]({path.stem}_{name})")
+    text = text.replace(' border="1" class="dataframe"', "")  # tables look like those of the pages
     return {_notebook_page(path): text, **{f"examples/{name}": data for name, data in pictures.items()}}

@@ -36,7 +36,10 @@ def reference_pages() -> dict[str, str]:
 
 
 def _names(title: str, code: str, short: str, module: str, names: list[str]) -> str:
-    entries = (f'::: {module}.{name}\n    options:\n      heading: "{short}.{name}"\n      toc_label: "{name}"\n' for name in names)
+    entries = (
+        f'::: {module}.{name}\n    options:\n      heading: "{short}.{name}"\n      toc_label: "{name}"\n'
+        for name in names
+    )
     return "\n".join((f"# {title}\n\n`{code}`\n", *entries))
 
 

@@ -50,7 +50,7 @@ def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> tuple[S
     settings = call_with(DiscoverySettings, config["discovery"], "discovery")
     settings = replace(settings, accelerate=settings.accelerate and config["accelerate"])
     if config["resume"] is not None:
-        raise ValueError(f"resume: expected null, a discovery is started again, found {config['resume']!r}")
+        raise ValueError(f"resume: expected null, because a discovery cannot be resumed, found {config['resume']!r}")
     physics, train, test = load_experiment(config, lambda line: None)
     setup = set_up(
         physics, train, test, settings, settings_from_config(config),
@@ -73,7 +73,7 @@ def discovery_run(
     info = setup.estimation.info
     console.print(
         f"discovery on {config['data']['name']} ({info.source}: {info.origin}); "
-        f"{setup.estimation.u.shape[0]} sequence(s) of {setup.estimation.u.shape[1]} samples to learn from",
+        f"{setup.estimation.u.shape[0]} sequence(s) of {setup.estimation.u.shape[1]} samples in the estimation record",
         soft_wrap=True,
     )
     with ended_at_once(stop, _STOPPED):

@@ -91,9 +91,9 @@ def refusal(problem: BaseException, folder: Path) -> str | None:
         following = following.__cause__ or following.__context__
     for each in chain:
         if reason := _unwritten(each, folder):
-            return f"{folder}: expected a folder that can be written, found: {reason}; what is whole there stays"
+            return f"{folder}: expected a folder that can be written, found: {reason}; complete files stay"
     if any(isinstance(each, MemoryError) or any(words in str(each) for words in _NO_MEMORY) for each in chain):
-        return f"{folder}: expected enough memory to go on, found none left; what is whole there stays"
+        return f"{folder}: expected enough memory to go on, found none left; complete files stay"
     return None
 
 

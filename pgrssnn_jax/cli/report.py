@@ -35,7 +35,7 @@ FIGURES: dict[str, tuple[Callable[[EvidenceTable, Paper], Figure], str, str]] = 
         box_figure,
         "seeds",
         "Test error of every finished member. Boxes hold the middle half of the members, whiskers all of them; diamonds"
-        " are the published means. At the right how many members finished, and which failed.",
+        " are the published means. The right margin states how many members finished, and which failed.",
     ),
     "samples": (
         efficiency_figure,
@@ -45,7 +45,7 @@ FIGURES: dict[str, tuple[Callable[[EvidenceTable, Paper], Figure], str, str]] = 
     "overlay": (
         overlay_figure,
         "predictions with the fewest samples",
-        "Free run over the test record: a stretch from its middle that can be read sample by sample, and all of it.",
+        "Free run over the test record: a part from its middle, sample by sample, and the whole record.",
     ),
 }
 """By the end of a file's name: how a figure is made, and what its page says of it."""

@@ -80,10 +80,10 @@ def load_benchmark(name: str, **settings: Any) -> tuple[Record, Record]:
     """Training and test record of `cascaded_tank`, `lgssm`, `robot_real` or `robot_simulated`; prints its source.
 
     Measured or published data come from the file named by `path=`, else from the folder in PGRSSNN_DATA, else from a
-    download; without them they are simulated, which one line says. u `[sequence, time, input]`, with a leading axis of
-    realisations where there are several; `train.validation` is the part that training sets aside. settings: those of
-    the loader (`path`, `n_train`, `realisations`, `seed`, ...). Raises `ValueError` for an unknown name or setting, and
-    for files that do not hold the benchmark.
+    download. Without these a simulator makes them, and one line states it. u `[sequence, time, input]`, with a leading
+    axis of realisations where there are several; `train.validation` is the part that training sets aside. settings:
+    those of the loader (`path`, `n_train`, `realisations`, `seed`, ...). Raises `ValueError` for an unknown name or
+    setting, and for files that do not hold the benchmark.
     """
     if not isinstance(name, str) or name not in LOADERS or name in _FILES:
         raise ValueError(f"load_benchmark: expected one of {sorted(set(LOADERS) - _FILES)}, found {name!r}")

@@ -56,8 +56,8 @@ class DiscoverySettings:
     tolerance: float | None = 0.5  # prior: relative standard deviation of the other parameters; None: no prior
     evidence: Literal["auto", "inverse_dynamics", "free_run"] = "auto"  # of an arm
     stretches: Any = "auto"  # samples of simulated stretches, one length after the other; []: whole records
-    without: list[str] = field(default_factory=list)  # names of effects that the catalogue is to do without
-    effects: list[str] = field(default_factory=list)  # effects of one's own: MODULE.NAME of an Effect or of a function
+    without: list[str] = field(default_factory=list)  # names of effects that are no candidates
+    effects: list[str] = field(default_factory=list)  # your own effects: MODULE.NAME of an Effect or of a function
     starts: int = 4  # starting values of the recalibration
     folds: int = 5  # of the cross-validation
     block: int = 32  # samples at most, fewer in records below 640; blocks take turns: every fold sees all parts

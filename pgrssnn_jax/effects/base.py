@@ -50,7 +50,9 @@ class SignalRange(NamedTuple):
 
 
 class Needs(NamedTuple):
-    """Which physics can take an effect: words for people, after "expected", and what decides."""
+    """Condition of an effect on its physics.
+
+    words: for people, after "expected"; met: the condition."""
 
     words: str
     met: Callable[[Physics], bool]
@@ -74,12 +76,12 @@ class Effect(NamedTuple):
     functions find the effect's numbers in `p.effects[name]` and the physics' own ones in `p.own`.
 
     title, equation, cause: for people, one line each; acts_on: where it enters; shapes: of the parameters that are
-    arrays (per channel or joint); initial_guesses: where fits begin, for the range of the data, None: `guesses` finds
-    some; needs: which physics can take it; active: share of the samples in which it acts, from `(numbers, x, u)` with
-    x `[time, x]`, u `[time, u]`, None where it always does; simpler: names of effects that are preferred to this one
-    where they do as well; channels: what one number of an array belongs to (`output`, `input`, `joint`; of a matrix
-    `output, input`); elaborate: it has so many numbers, or so much to compute, that discovery looks for it only where
-    the others leave errors above the noise, and asks for certainty.
+    arrays (per channel or joint); initial_guesses: starting values of fits for the range of the data, None: those of
+    `guesses`; needs: which physics can take it; active: share of the samples in which it acts, from `(numbers, x, u)`
+    with x `[time, x]`, u `[time, u]`, None where it always does; simpler: names of effects that are preferred to this
+    one where they do as well; channels: the owner of one number of an array (`output`, `input`, `joint`; of a matrix
+    `output, input`); elaborate: an effect with many numbers or long computations, which discovery tries only where the
+    others leave errors above the noise, and which must predict better by three standard errors.
     """
 
     name: str
@@ -104,9 +106,9 @@ class Effect(NamedTuple):
         return self._filled(lambda p: p.neutral)
 
     def guesses(self, span: SignalRange) -> Sequence[Numbers]:
-        """Where fits begin: `initial_guesses`, or from neutral towards the further finite bound, if there is one.
+        """Starting values of fits: `initial_guesses`, or points between neutral and the further finite bound.
 
-        Raises `ValueError` where neither is possible: of a threshold that is neutral at infinity nothing is known."""
+        Raises `ValueError` where neither is possible: for a threshold that is neutral at infinity."""
         if self.initial_guesses is not None:
             return self.initial_guesses(span)
         starts = [self._filled(lambda p, share=share: _towards_bound(p, share)) for share in _SHARES]

@@ -55,12 +55,17 @@ class Extension(NamedTuple):
 
 
 class Physics(NamedTuple):
-    """Known physics. `parameters` has the shape of `params`, leaf for leaf. skeleton: what the system looks like, for
-    pictures: points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where
-    there is nothing to draw. remark: a line for the user of what the physics was built from.
-    differentiable: does `step` let gradients through? extension: where effects enter a step, None: only around it.
-    origin: its builder and settings, None where they are not known; discovered: were its numbers fitted to a whole
-    estimation record?"""
+    """Known physics.
+
+        x_t = step(params, x_{t-1}, u_t)        y_t = measure(params, x_t, u_t)
+
+    `parameters` has the shape of `params`, leaf for leaf.
+
+    output_timing: `before_step` where the plant is sampled before u_t acts. skeleton: shape of the system for pictures:
+    points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where there is
+    nothing to draw. remark: a line for the user about the origin of the physics. differentiable: does `step` let
+    gradients through? extension: where effects enter a step, None: only around it. origin: its builder and settings,
+    None where they are not known. discovered: were its numbers fitted to a whole estimation record?"""
 
     name: str
     step: Step
@@ -81,7 +86,7 @@ class Physics(NamedTuple):
 
     @property
     def settings(self) -> Mapping[str, Any]:
-        """What `variant` may change, with the present values."""
+        """The settings that `variant` may change, with their present values."""
         return {} if self.origin is None else self.origin.settings
 
     def variant(self, **changes: Any) -> "Physics":

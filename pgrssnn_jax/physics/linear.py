@@ -56,7 +56,7 @@ def lgssm(
 ) -> Physics:
     """Any discrete linear model; A `[n_x, n_x]`, B `[n_x, n_u]`, C `[n_y, n_x]`, dt: s, or 1 for a system without time.
 
-    The defaults are the imperfect Model 1 of the paper. Its text prints A[1][1] = 1; only 0 reproduces the published
+    The defaults are the imperfect Model 1 of the paper. Its text prints `A[1][1] = 1`; only 0 reproduces the published
     physics-only figure (1.68; with data.published_scaling=true: 1.680 on the first realisation, 1.703 on the mean of
     50).
 

@@ -11,10 +11,10 @@ from pgrssnn_jax.records.arguments import check_kind, real_numbers, shown
 
 
 class Parameter(NamedTuple):
-    """What one number of `Physics.params` means.
+    """Meaning of one number of `Physics.params`.
 
-    bounds: closed interval that fitting respects; neutral: the value at which the term has no influence
-    (None if there is none); trainable: may fitting change it?
+    symbol, unit: for people; bounds: closed interval that fitting respects; neutral: the value at which the term has no
+    influence (None if there is none); trainable: may fitting change it?
     """
 
     symbol: str = ""
@@ -27,13 +27,15 @@ class Parameter(NamedTuple):
 class Signal(NamedTuple):
     """One state, input or output.
 
-    A state may say what it resembles: `like` an output shares that output's scale and its first value; `rate_of` an
-    output or another state is its time derivative: zero at the start, scaled by the differences of what is measured, or
-    by a simulation where nothing is (`measured_rate`); `memory_of` an input remembers that input: its scale, and its
-    first value at the start; of a state, what that has done: zero at the start, scaled by a simulation. range: beyond
-    it a value must be in another unit (degrees for rad); data are checked against it. start: its value at the start of
-    a record, where it is known. fit_initial: a memory that lasts, whose start a fit must find like that of a state of
-    the physics. inner: of a state that networks neither see nor correct: a covariance, say.
+    A state can be related to another signal, which gives it a scale and a value at the start.
+
+    like: an output, whose scale and first value the state shares. rate_of: an output or another state, whose time
+    derivative the state is: zero at the start, scaled by measured differences, or by a simulation where that signal is
+    not measured (`measured_rate`). memory_of: an input that the state remembers: its scale, and its first value at the
+    start; or a state whose past it holds: zero at the start, scaled by a simulation. range: data outside are refused,
+    because they are in another unit (degrees for rad). start: value at the start of a record, where it is known.
+    fit_initial: a lasting memory, whose start a fit must find like that of a state of the physics. inner: of a state
+    that networks neither see nor correct, a covariance for example.
     """
 
     name: str

@@ -23,9 +23,9 @@ def record_from(
 
     u `[time, input]` or `[sequence, time, input]`, or a list of sequences `[time, input]` of any length; y likewise.
     inputs, outputs: name and unit of every channel, in the order of the columns. NaN in y, or False in mask (the shape
-    of y), stands for a sample that was not measured. start: what is known of the initial state: `unknown`, `rest`, that
-    is zero, or `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for what is
-    no real number, for a value of u that is not finite, and for a dt that is not positive.
+    of y), stands for a sample that was not measured. start: the initial state: `unknown`, `rest`, that is zero, or
+    `shared` by the training and the test record. Raises `ValueError` for shapes that disagree, for values that are no
+    real numbers, for a value of u that is not finite, and for a dt that is not positive.
     """
     dt = positive("record: dt", dt, "sample time in seconds")
     if start not in get_args(Start):

@@ -91,7 +91,7 @@ class Ensemble:
         return self.trained.objective.model
 
     def params(self, member: int) -> ModelParams:
-        """The numbers of one member, for `pg.rollout`. Raises `ValueError` for a member that is not there."""
+        """The numbers of one member, for `pg.rollout`. Raises `ValueError` for a member that does not exist."""
         count = len(self.trained.members)
         if type(member) is not int or not 0 <= member < count:
             raise ValueError(f"params: member: expected 0 to {count - 1}, found {shown(member)}")
@@ -145,8 +145,8 @@ class Ensemble:
 
     @property
     def intervals(self) -> Intervals | None:
-        """What prediction intervals need beside a prediction, calibrated on what members left out; None where nothing
-        was, and for a run of before there were any."""
+        """Calibration of the prediction intervals, on the samples that members left out; None where none were left out,
+        and for runs of versions without intervals."""
         plan = self.plan
         if self._intervals is None and plan is not None:
             predicted = self._validated

@@ -25,7 +25,7 @@ _LEAST = 1e-3  # of the motor torque's standard deviation: what every standard d
 
 
 def filter_form(physics: Physics, record: Record, *, tune: int = 0) -> Physics:
-    """The arm in the form of its filter (`physics/arms/filter.py`), its effects with it.
+    """The arm in the form of its filter (`physics/arms/filter.py`), with its effects.
 
     tune: how many free runs of the record the search for better numbers may take, 0: none (500 take four minutes on
     60 sequences of 605 samples). Raises `ValueError` for a physics that is no arm in JAX, and for positions that were

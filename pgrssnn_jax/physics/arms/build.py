@@ -78,13 +78,13 @@ def arm(
 ) -> Physics:
     """An arm that comes with the package (robot, preset), or that of a URDF file (urdf, with the joints `lock` held).
 
-    The settings from gravity (m/s²) to velocity_max take the place of what the preset or the URDF says; one number
-    stands for all joints. motor_inertia: kg m²; joint_offset, position_min, position_max: rad; velocity_max: rad/s;
+    The settings from gravity (m/s²) to velocity_max replace the values of the preset or the URDF; one number stands for
+    all joints. motor_inertia: kg m²; joint_offset, position_min, position_max: rad; velocity_max: rad/s;
     limits: false leaves q and q̇ unlimited. velocity_disturbance: diagonal of S; torque_bias: θ, Nm. measured: false
     when the measurement is not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient
-    through f_phy except that of S, as the released code does. form: filter for the one of `filter.py`, which needs
-    filter_numbers (`FilterNumbers`; `filter_form` finds them in a record) and, where starts_at_rest, takes all joints
-    for at rest at the beginning of a record, where x_0 says. derivatives: the one mode in which f_phy can be
+    through f_phy except that of S, as the released code does. form: `filter` for the one of `filter.py`, which needs
+    filter_numbers (`FilterNumbers`; `filter_form` finds them in a record). starts_at_rest: the filter begins a record
+    with all joints at rest at the positions of x_0. derivatives: the one mode in which f_phy can be
     differentiated, reverse for training, forward for the Jacobians of least squares. Raises `ValueError` for settings
     that do not fit the number of joints.
     """
