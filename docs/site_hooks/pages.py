@@ -51,7 +51,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in _notebooks():
         for name, content in _converted(path).items():
             files.append(File.generated(config, name, content=content))
-    for name in sorted(_shown_sources(files)):
+    for name in sorted(set(_shown_sources(files))):
         files.append(File.generated(config, _source_page(name), content=_listing(ROOT / name)))
     return files
 
