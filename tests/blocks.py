@@ -1,21 +1,31 @@
-"""Running the code of a page as a reader would: its blocks in their order, in one folder, on small budgets."""
+"""Running the code of a page as a reader would: its blocks in their order, in one folder, on small budgets.
+
+Discoveries of arms take minutes on any budget: they are set up and checked. `tests/discovery/inverse` runs such ones.
+"""
 
 import re
 import runpy
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import matplotlib.pyplot as plt
-from commands import ROOT, called
+from commands import ROOT, called, composed
 from omegaconf import OmegaConf
 
 import pgrssnn_jax as pg
+from pgrssnn_jax.api import check_setup
+from pgrssnn_jax.cli.discover import checked
 from pgrssnn_jax.data.benchmarks import LOADERS
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import set_up
+from pgrssnn_jax.effects.systems import system_of
 from pgrssnn_jax.records.record import Record, crop
+from pgrssnn_jax.training.settings import training_settings
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.M | re.S)
 SCRIPTS = ("train.py", "discover.py", "report.py")
@@ -42,8 +52,9 @@ def saved_block(page: Path, name: str) -> str:
     return found
 
 
-def run_page(page: Path, folder: Path, monkeypatch: Any) -> dict[str, Any]:
-    """The names that the Python blocks define. A block whose first line is the name of a file is saved first."""
+def run_page(page: Path, folder: Path, monkeypatch: Any, known: Collection[str] = ()) -> dict[str, Any]:
+    """The names that the Python blocks define. A block whose first line is the name of a file is saved first; known:
+    commands that another page has run."""
     monkeypatch.chdir(folder)
     monkeypatch.syspath_prepend(str(folder))
     for name in ("my_physics", "my_effects"):
@@ -58,8 +69,9 @@ def run_page(page: Path, folder: Path, monkeypatch: Any) -> dict[str, Any]:
                 Path(named[1]).write_text(text)
             exec(compile(_filled(text), str(page), "exec"), said)
         elif language == "bash":
-            for line in shell_lines(_filled(text)):
-                _run_line(line, folder)
+            for line in shell_lines(text):
+                if line not in known:
+                    run_line(_filled(line), folder)
     plt.close("all")
     return said
 
@@ -67,11 +79,10 @@ def run_page(page: Path, folder: Path, monkeypatch: Any) -> dict[str, Any]:
 def _filled(text: str) -> str:
     """The names that stand for a run folder, replaced by folders of the workplace."""
     own = {True: "runs/pendulum", False: "runs/tanks"}
-    lines = (re.sub(r"runs/FOLDER|\bRUN\b", own["pendulum" in line], line) for line in text.splitlines())
-    return "\n".join(lines) + "\n"
+    return "\n".join(re.sub(r"runs/FOLDER|\bRUN\b", own["pendulum" in line], line) for line in text.split("\n"))
 
 
-def _run_line(line: str, folder: Path) -> None:
+def run_line(line: str, folder: Path) -> None:
     words = shlex.split(line)
     if words[0] in ("make", "source", "pip", "git", "cd"):  # the installation, which a test of the way in walks
         return
@@ -80,6 +91,8 @@ def _run_line(line: str, folder: Path) -> None:
     if script.startswith("benchmarks/"):  # minutes; their own tests run them
         process = subprocess.run([sys.executable, ROOT / script, "--help"], capture_output=True, text=True, check=False)
         assert process.returncode == 0, process.stderr
+    elif script == "discover.py" and any(word == "physics=arm" or "robot" in word for word in given):
+        checked(composed(*given, *budget(script, given), name="discover"), print)  # and no more, as in Python
     elif script in SCRIPTS:
         if not _is_table(given):
             code, out, err = called(*given, *budget(script, given), cwd=folder, script=script)
@@ -121,7 +134,14 @@ def _small_fit(fit: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _small_discovery(discover: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda *given, **named: discover(*given, **named, **_CHEAP, quiet=True)
+    def small(physics: pg.Physics, train: Record, test: Record, **named: Any) -> Any:
+        if system_of(physics) == "arm":
+            setup = set_up(physics, train, test, DiscoverySettings(), training_settings("pg_rssnn"), notify=print)
+            assert check_setup(setup) is not None
+            return SimpleNamespace(physics=physics)
+        return discover(physics, train, test, **named, **_CHEAP, quiet=True)
+
+    return small
 
 
 def _short_search(filter_form: Callable[..., Any]) -> Callable[..., Any]:

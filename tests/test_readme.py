@@ -19,7 +19,13 @@ from pgrssnn_jax.discovery.verdict import Verdict
 
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 PAGES = [README, *sorted(DOCS.glob("*.md")), ROOT / "runs/README.md"]
-SHELL = {line for page in PAGES for language, text in blocks(page) if language == "bash" for line in shell_lines(text)}
+
+
+def lines_of(page: Path) -> list[str]:
+    return [line for language, text in blocks(page) if language == "bash" for line in shell_lines(text)]
+
+
+SHELL = {line for page in PAGES for line in lines_of(page)}
 COMMANDS = sorted(line for line in SHELL if line.startswith(tuple(f"python {script}" for script in SCRIPTS)))
 EXAMPLE = saved_block(README, "my_physics.py")
 #: blocks of these languages are output, files and trees, which nobody runs
@@ -133,7 +139,8 @@ QUICK_PAGES = ("catalogue",)
 )  # fmt: skip
 def test_every_block_runs_as_printed(page, tmp_path, monkeypatch):
     furnish(tmp_path, page)
-    said = run_page(page, tmp_path, monkeypatch)
+    before = PAGES[: PAGES.index(page)]
+    said = run_page(page, tmp_path, monkeypatch, {line for other in before for line in lines_of(other)})
     if page == README:
         assert said["found"].verdict in set(Verdict)
         assert said["y"].shape == (1, 1, 256, 1)

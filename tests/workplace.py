@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 from blocks import BLOCK, budget, saved_block
 from commands import ROOT, called
 
@@ -57,19 +58,36 @@ def _measured(seed: int) -> pd.DataFrame:
     level = pg.simulate(pg.physics.cascaded_tanks(), voltage, np.array([3.0, 4.0])).y
     own = {"pump_voltage": voltage, "level_voltage": level, "torque": torque, "angle": angle}
     noisy = {name: np.ravel(values) + 0.003 * random.standard_normal(SAMPLES) for name, values in own.items()}
-    return pd.DataFrame({**noisy, **_motion(0.01 * np.arange(SAMPLES), "torque_%d", "position_%d")})
+    position, torques = _motion(0.01 * np.arange(SAMPLES))
+    return pd.DataFrame({**noisy, **_columns("position", position), **_columns("torque", torques / 100)})
 
 
-def _motion(time: np.ndarray, torque: str, position: str) -> dict[str, np.ndarray]:
-    """Torques and positions of six joints, which need not belong together."""
-    joints = range(1, 7)
-    positions = {position % joint: 0.5 * np.sin((1 + 0.3 * joint) * time) for joint in joints}
-    return {**positions, **{torque % joint: 2.0 * np.cos((1 + 0.3 * joint) * time) for joint in joints}}
+def _motion(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and torques `[time, joint]` of the robot without its gears, with viscous friction of 3 Nm s."""
+    rates = 1.0 + 0.3 * np.arange(1, 7)
+    angle = np.outer(time, rates)
+    q, v, a = 0.5 * np.sin(angle), 0.5 * rates * np.cos(angle), -0.5 * rates**2 * np.sin(angle)
+    model = pin.buildModelFromXML(_robot())
+    scratch = model.createData()
+    return q, np.array([pin.rnea(model, scratch, *row) for row in zip(q, v, a, strict=True)]) + 3.0 * v
+
+
+def _columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}_{i + 1}": values[:, i] for i in range(values.shape[1])}
 
 
 def _log() -> pd.DataFrame:
+    """In degrees and amperes of the motors, by the numbers of docs/arms.md."""
     time = 0.002 * np.arange(3000)
-    return pd.DataFrame({"time": time, **_motion(time, "current_%d", "motor_%d")})
+    q, torque = _motion(time)
+    n, constant = np.diag([32.0, 32.0, 45.0, -48.0, 45.0, 32.0]), [0.31, 0.31, 0.22, 0.19, 0.19, 0.15]
+    n[5, 4] = 32.0
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(q.shape)  # rad
+    motors = {
+        **_columns("motor", np.rad2deg((q + noise) @ n.T)),
+        **_columns("current", torque @ np.linalg.inv(n) / constant),
+    }
+    return pd.DataFrame({"time": time, **motors})
 
 
 def _robot() -> str:
