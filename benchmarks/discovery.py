@@ -1,5 +1,5 @@
 """Does discovery name what is hidden? python benchmarks/discovery.py [--cases 100] [--systems tanks lgssm pendulum ...]
-[--kinds none single double removed] [--noises white ar95 ...] [--seeds 0 ...] [--units] [--json FILE] [--sindy].
+[--kinds none single double removed] [--noises white ar95 ...] [--seeds 0 ...] [--units] [--json FILE].
 
 Seeded cases from independent simulators (`hidden/`), each with random parameters and noise; discovery is given the
 record and the nominal physics, nothing else. Prints a line per case and a table by system, kind and noise. FILE holds a
@@ -18,7 +18,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from hidden import compare, suite
+from hidden import suite
 from hidden.case import SYSTEMS, Case
 from hidden.noise import KINDS as NOISES
 from hidden.nominal import nominal, true_parameters
@@ -34,6 +34,7 @@ from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
+from pgrssnn_jax.effects.base import effects_of
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.training.settings import training_settings
@@ -44,13 +45,13 @@ _WHOLE: dict[str, Any] = {"replace": {}, "stretches": [], "network_epochs": 0}
 _AS_USERS: dict[str, Any] = {"network_epochs": 0}  # an arm in stretches, with what discovery changes in it
 _ROOT = Path(__file__).resolve().parents[1]
 _DECIDES = ("pgrssnn_jax/discovery", "pgrssnn_jax/effects", "pgrssnn_jax/physics", "benchmarks/hidden")
-_TELL_ONLY = ("score.py", "check.py", "compare.py")
+_TELL_ONLY = ("score.py", "check.py", "compare.py")  # decide nothing
 
 
 def main() -> None:
     arguments = _arguments()
     jax.config.update("jax_num_cpu_devices", arguments.devices)
-    console, code = Console(width=160), _digest()
+    console, code = Console(width=160), digest()
     known = _known(arguments.json, code)
     rows = []
     for system in arguments.systems:
@@ -60,16 +61,17 @@ def main() -> None:
                 plan = plan._replace(in_other_units=arguments.units and system != "arm")
                 row = known.get(_key(plan))
                 if row is None:
-                    row = _one(plan, problems, sindy=arguments.sindy) | {"code": code}
+                    row = run_case(plan, problems) | {"code": code}
                     console.print(_line(row), soft_wrap=True, highlight=False)
                     _append(arguments.json, row)
                 rows.append(row)
     console.print(scores(rows))
 
 
-def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) -> Row:
-    """One case; problems: the first case's, compiled once, because the others differ in numbers alone."""
-    case = suite.build(plan)
+def run_case(plan: Plan, problems: list[tuple[Problem, Corrected]], case: Case | None = None) -> Row:
+    """One case; problems: the first case's, compiled once, because the others differ in numbers alone; case: None for
+    that of the plan."""
+    case = case or suite.build(plan)
     setup = setup_of(case, plan.removed)
     if (motion := motion_evidence(setup)) is not None:
         return _by_torques(plan, case, setup, motion)
@@ -99,7 +101,8 @@ def _one(plan: Plan, problems: list[tuple[Problem, Corrected]], *, sindy: bool) 
         "closed": _closed(found, case),
         "seconds": seconds,
         "steps": found.seconds,
-        **(_by_sindy(case) if sindy and case.system in compare.SYSTEMS else {}),
+        "numbers": _numbers(found, names),
+        "test": {name: one.error for name, one in found.test.models.items()},
     }
 
 
@@ -123,6 +126,8 @@ def _by_torques(plan: Plan, case: Case, setup: Setup, motion: Motion) -> Row:
         "closed": (recalibrated - after) / (recalibrated - unit) if recalibrated > unit else None,
         "seconds": seconds,
         "steps": dict(found.seconds),
+        "numbers": {},
+        "test": {name: one.error for name, one in models.items()},
     }
 
 
@@ -141,11 +146,10 @@ def _at_rest(record: Record) -> Record:
     return record._replace(info=replace(record.info, start="rest"))
 
 
-def _by_sindy(case: Case) -> Row:
-    """Right: a name of what is there, or none where nothing is."""
-    name = compare.sindy_name(case)
-    accepted = {one for names in case.accepted for one in names} or {None}
-    return {"sindy": name, "sindy_right": name in accepted}
+def _numbers(found: Discovery, names: Sequence[str]) -> dict[str, dict[str, list[float]]]:
+    """Of the effects that were named."""
+    known = effects_of(found.problem.params(found.selection.final.estimate.theta))
+    return {name: {key: np.ravel(value).tolist() for key, value in known[name].items()} for name in names}
 
 
 def _distances(found: Discovery, truth: dict[str, float]) -> dict[str, float]:
@@ -182,11 +186,10 @@ def _line(row: Row) -> str:
         f"errors {first:.2f} to {last:.2f} noises{closed}"
         + (f", intervals miss {' '.join(missed)}" if missed else "")
         + f", {row['seconds']:.1f} s"
-        + (f"; sindy {row['sindy']}" if "sindy" in row else "")
     )
 
 
-def _digest() -> str:
+def digest() -> str:
     """Of the sources of discovery: a row holds for the code that made it."""
     found = hashlib.sha256()
     for folder in _DECIDES:
@@ -225,7 +228,6 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--units", action="store_true", help="inputs and outputs times random powers of ten")
     parser.add_argument("--devices", type=int, default=2)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--sindy", action="store_true", help="the same cases by SINDy on residual derivatives")
     return parser.parse_args()
 
 

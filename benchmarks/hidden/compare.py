@@ -1,88 +1,334 @@
-"""The same cases by sparse regression on derivatives (SINDy), as a practitioner would use it with pysindy.
+"""The same cases by sparse regression on derivatives (PySINDy), as a practitioner would use it beside a known physics.
 
-    r = d y/dt - model's derivative at the measured signals ≈ Σ base terms + one library term
+    r_i = dx_i/dt - f_i(θ, x, u) ≈ Σ_j c_ij φ_j(x, u),   c by STLSQ beside a refit of θ
 
-Base terms are those that other parameters of the model could explain; the term that explains most of the rest of r is
-named, if it explains at least 5 % of it. Derivatives come from pysindy's smoothed differences, the choice of the term
-from its forward orthogonal least squares. The upper tank's level is hidden: r takes it from the nominal model's own
-run, and only y and u are in the library. Term by term a name stands for the effect that would show as that term; what
-acts on the hidden level (overflow, leak) or on the reading's range has no term, and cannot be named.
+x: outputs and their rates by PySINDy's smoothed differences. A state that is neither is given as it is in the
+simulator, without noise: no user has that. φ: monomials up to order 3 of the signals of the equation and of the
+inputs; sign(z) and |z| z where z changes its sign, sqrt(z) where it does not. The derivatives of f with respect to θ
+are columns that no threshold touches, so that a wrong parameter is no term. Smoothing and threshold are chosen by
+left-out blocks: each is simulated from its first state, and of the models within a standard error of the best the one
+with the fewest terms is taken.
 """
 
+import warnings
+from collections.abc import Callable
+from functools import partial, reduce
+from itertools import combinations_with_replacement
+from operator import mul
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import savgol_filter
 
+from pgrssnn_jax.physics.base import Physics, extension_of, measured_rate
+from pgrssnn_jax.physics.integrate import held
+from pgrssnn_jax.records.record import Record
+
+from . import bench, chain, circuit, reactor
 from .case import Case
-from .rig import HISTORY, SAMPLE_TIME, Rig, levels
+from .nominal import nominal
+from .rig import HISTORY, Rig, levels
 
-SYSTEMS = ("tanks", "pendulum")  # the others have no derivative to regress on (sampled), or none of one signal (arm)
-_LEAST = 0.05
-Terms = dict[str, np.ndarray]
+SYSTEMS = ("pendulum", "duffing", "servo", "drive", "hysteretic", "tanks", "chain", "circuit", "reactor")
+WINDOWS = (9, 15, 25, 41)  # samples of the smoothing
+THRESHOLDS = (*np.geomspace(0.03, 0.6, 8), np.inf)  # of a term's RMS in that of the residual; the last: no term
+_BLOCKS, _FOLDS = 20, 5  # contiguous blocks, that take turns in being left out
+_OWN = 1e-3  # of a term that is no combination of the physics' own: with less it is not told from them
+_PLANTS = {"chain": chain.PLANT, "circuit": circuit.PLANT, "reactor": reactor.PLANT}
+_INPUT = ("input_saturation", "input_dead_zone", "pump_saturation", "pump_dead_zone", "pump_nonlinearity")
+_LEVEL = ("overflow_1to2", "overflow_lost", "tank2_overflow", "power_law", "outlet_exponent")
+# Hidden effects that a term stands for, by the role of its signal and its shape; a product stands for none.
+MEANING: dict[tuple[str, str], tuple[str, ...]] = {
+    ("", "1"): ("input_offset", "constant_force", "inflow"),
+    ("input", "z"): ("input_gain", "bypass"),
+    **{("input", shape): _INPUT for shape in ("z^2", "z^3", "|z|z", "sign(z)", "sqrt(z)")},
+    ("rate", "z"): ("viscous_friction",),
+    ("rate", "sign(z)"): ("coulomb_friction", "stribeck_friction"),
+    ("rate", "|z|z"): ("quadratic_drag",),
+    ("rate", "z^3"): ("quadratic_drag",),
+    ("position", "z"): ("linear_spring",),
+    ("position", "z^3"): ("cubic_spring",),
+    ("position", "|z|z"): ("cubic_spring",),
+    ("level", "z"): ("leak", "leak_tank1"),
+    **{("level", shape): _LEVEL for shape in ("z^2", "z^3", "|z|z", "sqrt(z)")},
+}
+_LAWS = {
+    ("coulomb_friction", "sign(z)"),
+    ("quadratic_drag", "|z|z"),
+    ("cubic_spring", "z^3"),
+    ("leak", "z"),
+    ("leak_tank1", "z"),
+    ("inflow", "1"),
+}
+CAN_NAME = {name for names in MEANING.values() for name in names}
+Values = Any  # of all signals z `[signal, ...]`, states before inputs
 
 
-def sindy_name(case: Case, window: int = 15) -> str | None:
-    """Name of the best single term, or None. Raises `ImportError` without pysindy (`pip install pysindy`), and
-    `ValueError` for a system other than tanks and pendulum. window: samples of the smoothing."""
+class Term(NamedTuple):
+    """equation: of which state; role and shape as in MEANING, shape "" for a product; text: as a person writes it."""
+
+    equation: int
+    role: str
+    shape: str
+    text: str
+    value: Callable[[Values], Values]
+
+
+class Found(NamedTuple):
+    """terms: largest first, with coefficients; physics: with them and its own numbers refitted; given: states from the
+    simulator; window: samples; threshold: inf for no term."""
+
+    terms: list[tuple[Term, float]]
+    physics: Physics
+    given: list[str]
+    window: int
+    threshold: float
+
+
+class Fit(NamedTuple):
+    """theta: over the size of the nominal numbers; share: of each term in the RMS of the residual."""
+
+    threshold: float
+    coefficients: np.ndarray
+    theta: np.ndarray
+    share: np.ndarray
+
+
+class Data(NamedTuple):
+    """z `[signal, time]`, slope `[state, time]` at the samples; inside: where smoothing has both its sides."""
+
+    z: np.ndarray
+    slope: np.ndarray
+    inside: np.ndarray
+
+
+def regressed(case: Case) -> Found:
+    """Raises `ImportError` without pysindy (`pip install -e '.[compare]'`)."""
+    physics = nominal(case)
+    with jax.enable_x64(True), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a threshold that leaves nothing
+        smoothed = {window: measured(physics, case, window) for window in WINDOWS}
+        ahead = Ahead(physics, library(physics, smoothed[WINDOWS[1]]))
+        tried = {window: Regression(ahead, case.train, data) for window, data in smoothed.items()}
+        models = [(w, fit) for w, one in tried.items() for fit in one.fits()]
+        errors = np.concatenate([one.left_out() for one in tried.values()])
+    best, count = errors[np.argmin(errors.mean(1))], [np.count_nonzero(fit.coefficients) for _, fit in models]
+    worse = errors - best
+    near = np.flatnonzero(worse.mean(1) <= worse.std(1) / _BLOCKS**0.5)
+    window, fit = models[min(near, key=lambda k: (count[k], errors[k].mean()))]
+    order = [int(j) for j in np.argsort(-fit.share) if fit.share[j] > 0]
+    terms = [(ahead.terms[j], float(fit.coefficients[j])) for j in order]
+    return Found(terms, corrected(physics, terms, fit.theta), unmeasured(physics), window, fit.threshold)
+
+
+def corrected(physics: Physics, terms: list[tuple[Term, float]], theta: np.ndarray) -> Physics:
+    """theta: its numbers over the size of the nominal ones."""
+    ahead = Ahead(physics, [term for term, _ in terms])
+    step = ahead.step([c for _, c in terms])
+    return physics._replace(params=ahead.params(theta), step=step, extension=None, origin=None)
+
+
+def size_of(name: str, term: Term, c: float, physics: Physics, nominal: Physics) -> float | None:
+    """The size of an effect by the coefficient of its term, where the term is its law; physics: with the terms."""
+    if name == "input_offset":
+        points, n = extension_of(nominal).points, len(nominal.states)
+        gain = jax.jacobian(points.derivative, 2)(physics.params, jnp.ones(n), jnp.ones(len(nominal.inputs)))
+        return c / float(gain[term.equation, 0]) if gain[term.equation, 0] else None
+    if name == "bypass":
+        return c / (c + float(physics.params["k3"]))  # of the whole pump flow
+    return {"inflow": c}.get(name, -c) if (name, term.shape) in _LAWS else None
+
+
+def unmeasured(physics: Physics) -> list[str]:
+    """States that are neither an output nor the rate of one."""
+    read = _readings(physics)
+    return [s.name for i, s in enumerate(physics.states) if i not in read and measured_rate(physics, s) is None]
+
+
+def _readings(physics: Physics) -> dict[int, int]:
+    """Which output reads a state."""
+    n, m = len(physics.states), len(physics.inputs)
+    slope = jax.jacobian(lambda x: physics.measure(physics.params, x, jnp.ones(m)))(jnp.ones(n))
+    return {int(np.argmax(row)): j for j, row in enumerate(np.asarray(slope))}
+
+
+def measured(physics: Physics, case: Case, window: int) -> Data:
     import pysindy  # an optional extra
 
-    if case.system not in SYSTEMS:
-        raise ValueError(f"sindy_name: system: expected one of {SYSTEMS}, found {case.system!r}")
+    y, u = case.train.y[0].T, case.train.u[0].T
+    time, read = physics.dt * np.arange(y.shape[1]), _readings(physics)
     smooth = pysindy.SmoothedFiniteDifference(smoother_kws={"window_length": window, "polyorder": 3})
 
-    def slope(signal: np.ndarray, dt: float) -> np.ndarray:
-        return np.asarray(smooth(signal[:, None], dt * np.arange(len(signal))))[:, 0]
+    def rate(signal: np.ndarray) -> np.ndarray:
+        return np.asarray(smooth(signal[:, None], time))[:, 0]
 
-    u, y = case.train.u[0, :, 0], case.train.y[0, :, 0]
-    u = (u + np.append(u[1:], u[-1])) / 2  # y_t is read between the spans in which u_t and u_t+1 act
+    outputs = {output.name: y[j] for j, output in enumerate(physics.outputs)}
+    x = [np.empty(0)] * len(physics.states)
+    for i, state in enumerate(physics.states):
+        of = measured_rate(physics, state)
+        if i in read:
+            x[i] = savgol_filter(y[read[i]], window, 3)
+        else:
+            x[i] = _simulated(case)[i] if of is None else rate(outputs[of])
+    held_until = np.append(u[:, 1:], u[:, -1:], axis=1)  # y_t is read between the spans of u_t and u_t+1
+    inside = np.zeros(y.shape[1], bool)
+    inside[window : -window - 1] = True
+    return Data(np.stack([*x, *((u + held_until) / 2)]), np.stack([rate(one) for one in x]), inside)
+
+
+def _simulated(case: Case) -> np.ndarray:
+    """States `[state, time]` of the estimation record without noise. What a delayed actuator still had to run before
+    the record began is not known, and taken as its first input."""
+    sizes = {k: v for k, v in case.magnitudes.items() if k not in ("parameters", "start")}
+    numbers, starts = case.magnitudes["parameters"] | sizes, case.magnitudes["start"]
+    u = np.pad(case.train.u[0, :, 0], (HISTORY, 0), mode="edge")
     if case.system == "tanks":
-        residual, base, library = _tanks(case, u, y, slope(y, SAMPLE_TIME))
-    else:
-        dt = case.train.info.dt
-        rate = slope(y, dt)
-        residual, base, library = _pendulum(case, u, y, rate, slope(rate, dt), slope(u, dt))
-    known = np.column_stack(base)
-    inside = slice(window, -window)  # differences are poor at the ends
-
-    def rest(signal: np.ndarray) -> np.ndarray:
-        return (signal - known @ np.linalg.lstsq(known[inside], signal[inside], rcond=None)[0])[inside]
-
-    target = rest(residual)
-    rests = {name: rest(term) for name, term in library.items() if np.std(term[inside]) > 0 or name == "input_offset"}
-    terms = np.column_stack(list(rests.values()))
-    chosen = pysindy.FROLS(max_iter=1, alpha=0.0, normalize_columns=True).fit(terms, target[:, None])
-    coefficients = np.ravel(chosen.coef_)
-    explained = 1 - np.var(target - terms @ coefficients) / np.var(target)
-    return list(rests)[int(np.argmax(np.abs(coefficients)))] if explained >= _LEAST else None
+        return np.stack(levels(Rig(**numbers), u, starts[0]))
+    still = np.zeros((2, case.train.u.shape[1]))
+    return bench.simulate(_PLANTS[case.system], numbers, np.stack([u, u]), np.array(starts).T, still)[0].T
 
 
-def _tanks(case: Case, u: np.ndarray, y: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], Terms]:
-    rig, level = Rig(**case.physics), np.maximum(y, 0.0)
-    before = np.concatenate([np.full(HISTORY, u[0]), u])
-    upper = levels(rig, before, (float(level[0]), float(level[0])), 2)[0]
-    drain = rig.k1 * np.sqrt(upper) - rig.k2 * upper
-    residual = slope - (drain - rig.k4 * np.sqrt(level) + rig.k5 * level)
-    library = {
-        "input_offset": np.ones_like(u),
-        "bypass": u,
-        "pump_nonlinearity": u**2,
-        "pump_saturation": np.maximum(u - np.quantile(u, 0.8), 0.0),
-        "pump_dead_zone": np.maximum(np.quantile(u, 0.16) - u, 0.0),
-        "tank2_overflow": np.maximum(level - np.quantile(level, 0.8), 0.0),
-        "outlet_exponent": level**0.75,
-    }
-    return residual, [np.sqrt(level), level, drain], library
+def library(physics: Physics, data: Data) -> list[Term]:
+    """Those of every equation whose state is no mere integral of another one."""
+    n, rates = len(physics.states), {state.rate_of: i for i, state in enumerate(physics.states)}
+    signals, found = [*physics.states, *physics.inputs], []
+    points = extension_of(physics).points
+    slopes = jax.vmap(jax.jacobian(points.derivative, 1), (None, 1, 1))
+    acts = np.abs(np.asarray(slopes(physics.params, data.z[:n], data.z[n:]))).max(0) > 0
+    for i in range(n):
+        if signals[i].name in rates:
+            continue
+        near = [k for k in range(n) if k == i or acts[i, k] or signals[i].rate_of in (signals[k].name, "")]
+        used = [*near, *range(n, len(signals))]
+        roles = {k: "input" if k >= n else "rate" if signals[k].rate_of else "level" for k in used}
+        roles |= {k: "position" for k in used if signals[k].name in rates}
+        found.append(Term(i, "", "1", f"1 in {signals[i].name}'", lambda z: jnp.ones_like(z[0])))
+        for order in (1, 2, 3):
+            for several in combinations_with_replacement(used, order):
+                alone, text = len(set(several)) == 1, " ".join(signals[k].name for k in several)
+                shape = ("z" if order == 1 else f"z^{order}") if alone else ""
+                value = partial(_product, several)
+                found.append(Term(i, roles[several[0]] if alone else "", shape, f"{text} in {signals[i].name}'", value))
+        for k in used:
+            crosses = data.z[k].min() < 0.0 < data.z[k].max()
+            for shape in ("sign(z)", "|z|z") if crosses else ("sqrt(z)",):
+                text = f"{shape.replace('z', signals[k].name)} in {signals[i].name}'"
+                found.append(Term(i, roles[k], shape, text, partial(_BENT[shape], k)))
+    return found
 
 
-def _pendulum(
-    case: Case, u: np.ndarray, y: np.ndarray, rate: np.ndarray, slope: np.ndarray, change: np.ndarray
-) -> tuple[np.ndarray, list[np.ndarray], Terms]:
-    length, damping = case.physics["length"], case.physics["damping"]
-    residual = slope + 9.81 / length * np.sin(y) + damping * rate - u / length**2
-    size = np.abs(u)
-    library = {
-        "input_offset": np.ones_like(u),
-        "sensor_offset": np.cos(y),
-        "input_saturation": np.sign(u) * np.maximum(size - np.quantile(size, 0.8), 0.0),
-        "input_dead_zone": np.sign(u) * np.minimum(size, np.quantile(size, 0.17)),
-        "input_delay": change,
-    }
-    return residual, [np.sin(y), rate, u], library
+def _product(several: tuple[int, ...], z: Values) -> Values:
+    return reduce(mul, (z[k] for k in several))
+
+
+_BENT: dict[str, Callable[[int, Values], Values]] = {
+    "sign(z)": lambda k, z: jnp.sign(z[k]),
+    "|z|z": lambda k, z: jnp.abs(z[k]) * z[k],
+    "sqrt(z)": lambda k, z: jnp.sqrt(jnp.maximum(z[k], 0.0)),
+}
+
+
+class Ahead:
+    """The physics with terms, simulated. theta: its numbers over the size of the nominal ones."""
+
+    def __init__(self, physics: Physics, terms: list[Term]) -> None:
+        self.physics, self.terms, self.points = physics, terms, extension_of(physics).points
+        self.size = {name: abs(float(value)) for name, value in physics.params.items()}
+        self.blocks = jax.jit(jax.vmap(jax.vmap(self._run, (None, None, 0, 0)), (0, 0, None, None)))
+
+    def params(self, theta: Any) -> dict[str, Any]:
+        return {name: share * size for (name, size), share in zip(self.size.items(), theta, strict=True)}
+
+    def step(self, coefficients: Any) -> Any:
+        def derivative(params: Any, x: Any, u: Any) -> Any:
+            slope, z = self.points.derivative(params, x, u), jnp.concatenate([x, u])
+            for c, term in zip(coefficients, self.terms, strict=True):
+                slope = slope.at[term.equation].add(c * term.value(z))
+            return slope
+
+        return held(self.points._replace(derivative=derivative))
+
+    def _run(self, coefficients: Any, theta: Any, x: Any, u: Any) -> Any:
+        """Outputs `[time, y]` of a free run from x."""
+        params, step = self.params(theta), self.step(coefficients)
+
+        def body(x: Any, u_t: Any) -> tuple[Any, Any]:
+            x = step(params, x, u_t)
+            return x, self.physics.measure(params, x, u_t)
+
+        return jax.lax.scan(body, x, u)[1]
+
+
+class Regression:
+    """One smoothing of one record: the residuals of all equations under each other, each over its deviation, with the
+    columns of the physics' own numbers and of the terms. theta: refitted, over the size of the nominal numbers;
+    slopes, known: measured, and those of the physics, `[equation, time]`."""
+
+    def __init__(self, ahead: Ahead, record: Record, data: Data) -> None:
+        self.ahead, self.record, self.z, physics = ahead, record, data.z, ahead.physics
+        n, inside = len(physics.states), data.inside
+        equations = sorted({term.equation for term in ahead.terms})
+        derivative = jax.vmap(ahead.points.derivative, (None, 1, 1), 1)
+
+        @jax.jit
+        def field(theta: Any) -> Any:
+            return derivative(ahead.params(theta), data.z[:n], data.z[n:])[np.array(equations)]
+
+        slopes = data.slope[equations]
+        deviation = slopes[:, inside].std(axis=1, keepdims=True)
+
+        def misfit(theta: np.ndarray) -> np.ndarray:
+            return np.ravel(((slopes - field(theta)) / deviation)[:, inside])
+
+        limits = np.array([np.array(physics.parameters[name].bounds) / size for name, size in ahead.size.items()]).T
+        start = np.sign([float(value) for value in physics.params.values()])
+        self.theta = least_squares(misfit, start, bounds=tuple(limits)).x
+        self.slopes, self.known = slopes, np.asarray(field(self.theta))
+        left = self.slopes - self.known
+        scale = left[:, inside].std(axis=1, keepdims=True)
+        self.residual = (left / scale)[:, inside].ravel()
+        self.own = (np.asarray(jax.jacfwd(field)(self.theta)) / scale[..., None])[:, inside].reshape(-1, len(limits.T))
+        library = np.zeros((len(ahead.terms), *left.shape))
+        for term, column in zip(ahead.terms, library, strict=True):
+            i = equations.index(term.equation)
+            column[i] = term.value(data.z) / scale[i]
+        self.library = library[:, :, inside].reshape(len(library), -1).T
+        block = np.arange(len(inside)) * _BLOCKS // len(inside)
+        self.fold = np.tile(block[inside] % _FOLDS, len(equations))
+        self.begins, self.length = np.searchsorted(block, np.arange(_BLOCKS)), int(np.bincount(block).min())
+
+    def fits(self, rows: Any = slice(None)) -> list[Fit]:
+        """By these rows, one for each threshold."""
+        import pysindy
+
+        data = np.column_stack([self.own, self.library, self.residual])[rows]
+        data, p = np.linalg.qr(data, mode="r"), self.own.shape[1]  # as good for least squares, and short
+        own, library, target = data[:, :p], data[:, p:-1], data[:, -1]
+        basis = np.linalg.qr(own)[0]
+        alone, rest = library - basis @ (basis.T @ library), target - basis @ (basis.T @ target)
+        size = np.linalg.norm(alone, axis=0)
+        usable, share = size > _OWN * np.linalg.norm(library, axis=0), size / np.linalg.norm(rest)
+        found = []
+        for threshold in THRESHOLDS:
+            coefficients = np.zeros(library.shape[1])
+            if np.isfinite(threshold):
+                model = pysindy.STLSQ(threshold=threshold).fit(alone[:, usable] / share[usable], rest[:, None])
+                coefficients[usable] = np.ravel(model.coef_) / share[usable]
+            shift = np.linalg.lstsq(own, target - library @ coefficients, rcond=None)[0]
+            found.append(Fit(threshold, coefficients, self.theta + shift, np.abs(coefficients) * share))
+        return found
+
+    def left_out(self) -> np.ndarray:
+        """Mean square error `[threshold, block]` of each block, simulated by the models of the other folds, over the
+        output's variance."""
+        errors, u, y = np.empty((len(THRESHOLDS), _BLOCKS)), self.record.u[0], self.record.y[0]
+        for fold in range(_FOLDS):
+            fits, begins = self.fits(self.fold != fold), self.begins[fold::_FOLDS]
+            u_ahead, y_ahead = (np.stack([a[b + 1 : b + self.length] for b in begins]) for a in (u, y))
+            coefficients, theta = np.stack([fit.coefficients for fit in fits]), np.stack([fit.theta for fit in fits])
+            found = np.asarray(self.ahead.blocks(coefficients, theta, self.z[: -u.shape[1], begins].T, u_ahead))
+            errors[:, fold::_FOLDS] = np.mean(((y_ahead - found) / y.std(axis=0)) ** 2, axis=(2, 3))
+        return np.nan_to_num(errors, nan=1e6, posinf=1e6)
