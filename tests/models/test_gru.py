@@ -9,17 +9,17 @@ from flax import nnx
 from jax.test_util import check_grads
 from toys import quick_jit
 
+from benchmarks.speed.torch_names import GRU_NAMES
 from pgrssnn_jax.models.gru import GRU, delayed, gru_scan, gru_step
 
 FIXTURES = Path(__file__).parent / "fixtures"
-TORCH = {"input_kernel": "weight_ih", "hidden_kernel": "weight_hh", "input_bias": "bias_ih", "hidden_bias": "bias_hh"}
 
 
 def layers_of(arrays, dtype):
     """Our weights from torch's: kernels are transposed, gates keep their order."""
 
     def one(layer):
-        return {ours: jnp.asarray(arrays[f"{theirs}_l{layer}"].T, dtype) for ours, theirs in TORCH.items()}
+        return {ours: jnp.asarray(arrays[f"{theirs}_l{layer}"].T, dtype) for ours, theirs in GRU_NAMES.items()}
 
     return [one(layer) for layer in range(2)]
 
@@ -43,7 +43,7 @@ def compare_with_torch(arrays, dtype, rtol, rtol_gradient):
     to_layers, to_input = quick_jit(jax.grad(lambda w, u: jnp.sum(run(w, u) ** 2), (0, 1)))(layers, u)
     np.testing.assert_allclose(to_input, arrays["grad_input"], rtol=rtol_gradient, atol=rtol_gradient)
     for layer, gradient in enumerate(to_layers):
-        for ours, theirs in TORCH.items():
+        for ours, theirs in GRU_NAMES.items():
             expected = arrays[f"grad_{theirs}_l{layer}"].T
             atol = rtol_gradient * np.abs(expected).max()
             np.testing.assert_allclose(gradient[ours], expected, rtol=rtol_gradient, atol=atol, err_msg=ours)

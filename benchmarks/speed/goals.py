@@ -1,0 +1,115 @@
+"""The ratios that `rollout.py` prints first, with the goal of each. Both figures of a ratio come from one process."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+Measured = Mapping[str, Mapping[str, Any]]  # part -> what it found, as in the file
+
+
+class Goal(NamedTuple):
+    """factor × figure `over` / figure `under` of a part; without `under` seconds of `over`. more: is more better?"""
+
+    what: str
+    part: str
+    over: str
+    under: str
+    factor: float
+    goal: float
+    more: bool = False
+
+    def ratio(self, measured: Measured) -> float | None:
+        """None where one of the figures was not measured."""
+        figures = measured.get(self.part, {}).get("figures", {})
+        if self.over not in figures or (self.under and self.under not in figures):
+            return None
+        over = figures[self.over]["ms"][0] * self.factor
+        return over / (figures[self.under]["ms"][0] if self.under else 1e3)
+
+    def reached(self, ratio: float) -> bool:
+        return ratio >= self.goal if self.more else ratio <= self.goal
+
+
+_TWO, _ONE, _START = ", 2 cores", ", 1 core", "startup, 2 cores"
+_LOOP, _EPOCH, _ALONE = "PyTorch loop, rollout", "PyTorch loop, epoch", "evaluation, Pinocchio's C++ alone, forward"
+_EPOCH_SHARE = 1.0 / (60 * 605 * 4)  # Pinocchio's time for the evaluations of an epoch is this many of one evaluation
+
+GOALS = (
+    Goal(
+        "tanks epoch, 1 member: times faster than the PyTorch loop",
+        "tanks" + _TWO,
+        _EPOCH,
+        "epoch, 1 member",
+        1,
+        600,
+        True,
+    ),
+    Goal("tanks epoch, 10 members: than ten epochs of it", "tanks" + _TWO, _EPOCH, "epoch, 10 members", 10, 2000, True),
+    Goal(
+        "LGSSM epoch, 50 members: than fifty epochs of it", "lgssm" + _TWO, _EPOCH, "epoch, 50 members", 50, 100, True
+    ),
+    Goal(
+        "arm epoch, stopped gradient, over Pinocchio's C++, one core",
+        "arm" + _ONE,
+        "epoch, gradient stopped",
+        _ALONE,
+        _EPOCH_SHARE,
+        1.3,
+    ),
+    Goal(
+        "arm epoch, full gradient, over Pinocchio's C++, one core",
+        "arm" + _ONE,
+        "epoch, gradient full",
+        _ALONE,
+        _EPOCH_SHARE,
+        2.0,
+    ),
+    Goal(
+        "arm epoch, stopped gradient, over Pinocchio's C++, two cores",
+        "arm" + _TWO,
+        "epoch, gradient stopped",
+        _ALONE,
+        _EPOCH_SHARE,
+        1.3,
+    ),
+    Goal(
+        "arm epoch, full gradient, over Pinocchio's C++, two cores",
+        "arm" + _TWO,
+        "epoch, gradient full",
+        _ALONE,
+        _EPOCH_SHARE,
+        2.0,
+    ),
+    Goal(
+        "arm forward dynamics, float32, over Pinocchio's C++, one core",
+        "arm" + _ONE,
+        "evaluation, jax float32, forward",
+        _ALONE,
+        1,
+        0.40,
+    ),
+    Goal("tanks rollout: times faster than the PyTorch loop", "tanks" + _TWO, _LOOP, "rollout", 1, 500, True),
+    Goal("LGSSM rollout, 50 x 5000", "lgssm" + _TWO, _LOOP, "rollout", 1, 50, True),
+    Goal("arm rollout, 6 x 605", "arm" + _TWO, _LOOP, "rollout", 1, 100, True),
+    Goal(
+        "arm rollout, 6 x 605, than a loop that calls Pinocchio",
+        "arm" + _TWO,
+        "PyTorch loop that calls Pinocchio, rollout",
+        "rollout",
+        1,
+        100,
+        True,
+    ),
+    Goal("discovery, tanks without network, all compiled, s", _START, "discovery, everything compiled", "", 1, 10),
+    Goal("discovery, tanks without network, nothing compiled, s", _START, "discovery, nothing compiled", "", 1, 25),
+    Goal("import with a first physics, s", _START, "import with a first physics", "", 1, 1.5),
+    Goal("train.py --help, s", _START, "train.py --help", "", 1, 1.0),
+    Goal(
+        "second train.py of one shape until its first epochs, s",
+        _START,
+        "second train.py until its first epochs",
+        "",
+        1,
+        4.0,
+    ),
+    Goal("make train from a fresh clone, s", _START, "make train from a fresh clone", "", 1, 75.0),
+)

@@ -1,0 +1,127 @@
+"""What one process measures, on the cores that it was started with: `rollout.py` starts it.
+
+Each part measures the calls that are compared in turn, and gives name -> figures: "ms" (median and quartiles of one
+epoch, rollout or call), and for compiled programs "compile_s", "compilations", "memory_mb" and "roof".
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from pgrssnn_jax.acceleration.devices import usable_cores
+from pgrssnn_jax.physics.arms.build import arm
+
+from . import arm_dynamics
+from .cases import SYSTEMS, System, inputs, model_and_params, rollout_call, training, training_call
+from .roof import roof
+from .timing import Program, Spread, compiled, interleaved
+from .work import Work, epoch_work, rollout_work
+
+Figures = dict[str, dict[str, Any]]
+
+
+class Case(NamedTuple):
+    """per_call: epochs, or evaluations, of one call. program: None for what is not ours."""
+
+    call: Callable[[], Any]
+    per_call: float = 1.0
+    program: Program | None = None
+    work: Work | None = None
+    dtype: Any = np.float32
+
+
+def measured(cases: dict[str, Case], repeats: int) -> Figures:
+    found = interleaved({name: case.call for name, case in cases.items()}, repeats)
+    return {name: _figures(case, found[name].times(1.0 / case.per_call)) for name, case in cases.items()}
+
+
+def _figures(case: Case, ms: Spread) -> dict[str, Any]:
+    figures: dict[str, Any] = {"ms": list(ms)}
+    if case.program is not None:
+        figures |= {name: getattr(case.program, name) for name in ("compile_s", "compilations", "memory_mb")}
+        if case.work is not None:
+            bounds = roof(case.work, case.program, int(case.per_call), ms.median, usable_cores(), case.dtype)
+            figures["roof"] = bounds._asdict()
+    return figures
+
+
+def system_part(name: str, *, quick: bool, compare: bool) -> Figures:
+    """Epochs of one member and of an experiment's, a rollout, and the PyTorch loop of each."""
+    system = _smaller(SYSTEMS[name]) if quick else SYSTEMS[name]
+    physics = system.physics()
+    cases = {f"epoch, {_counted(n)}": epoch_case(system, physics, n) for n in {1: None, system.members: None}}
+    cases["rollout"] = rollout_case(system, physics, *system.run)
+    if compare:
+        from . import compare as against  # PyTorch is an optional extra
+
+        cases |= against.epochs(system, physics) | against.rollouts(system, physics)
+    return measured(cases, 2 if quick else 7)
+
+
+def arm_part(*, quick: bool, compare: bool) -> Figures:
+    """Forward dynamics, epochs of one member, a rollout, and Pinocchio's algorithm alone."""
+    system = _smaller(SYSTEMS["arm"]) if quick else SYSTEMS["arm"]
+    physics = {gradient: arm(physics_gradient=gradient) for gradient in ("stopped", "full")}
+    samples = system.train[1]
+    cases = {f"epoch, gradient {name}": epoch_case(system, one, 1, epochs=2) for name, one in physics.items()}
+    for name, program in arm_dynamics.free_runs(samples, [("jax", np.float32)], gradients=False).items():
+        cases[f"evaluation, {name}"] = Case(program.call, arm_dynamics.evaluations(samples), program)
+    for name, call in arm_dynamics.pinocchio_calls().items():
+        cases[f"evaluation, {name}"] = Case(call, arm_dynamics.EVALUATIONS_PER_CALL)
+    found = measured(cases, 2 if quick else 5)
+    runs = {"rollout": rollout_case(system, physics["full"], *system.run)}
+    if compare:
+        from . import compare as against
+
+        runs |= against.rollouts(system, physics["full"])
+    return found | measured(runs, 2 if quick else 3)
+
+
+def epoch_case(
+    system: System, physics: Any, members: int, *, epochs: int = 20, dtype: Any = np.float32, mapping: Any = None
+) -> Case:
+    fit, data = training(system, physics, epochs=epochs, dtype=dtype)
+    program = compiled(*training_call(fit, data, members, mapping))
+    work = epoch_work(system.spec, physics, system.stages, *system.train, members=members)
+    return Case(program.call, epochs, program, work, dtype)
+
+
+def rollout_case(
+    system: System, physics: Any, sequences: int, samples: int, *, dtype: Any = np.float32, route: Any = None
+) -> Case:
+    model, params = model_and_params(system, physics, dtype=dtype)
+    u, x0 = inputs(system, sequences, samples, dtype)
+    program = compiled(*rollout_call(model, params, u, x0, route=route))
+    return Case(program.call, 1, program, rollout_work(system.spec, physics, system.stages, sequences, samples), dtype)
+
+
+def gru_part(*, quick: bool, compare: bool) -> Figures:
+    """The recurrence alone, forwards and with its gradient, at the sizes of the three systems."""
+    from .gru import ours, theirs
+
+    found: Figures = {}
+    for system in SYSTEMS.values():
+        sequences, samples = system.train
+        size = (8 if quick else samples, sequences, system.spec.hidden)
+        cases = ours(*size)
+        if compare:
+            cases |= theirs(*size)
+        named = {f"{system.name} {list(size)}, {name}": Case(call) for name, call in cases.items()}
+        found |= measured(named, 2 if quick else 9)
+    return found
+
+
+def _counted(members: int) -> str:
+    return f"{members} member{'s' if members > 1 else ''}"
+
+
+def _smaller(system: System) -> System:
+    """A tenth of the samples, and few members."""
+    (sequences, length), (runs, steps) = system.train, system.run
+    return system._replace(train=(sequences, max(8, length // 30)), run=(runs, steps // 40), members=2)
+
+
+def devices() -> list[str]:
+    return [str(device) for device in jax.devices()]

@@ -1,0 +1,84 @@
+"""Measuring calls side by side, compile time and memory apart."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+_compilations: list[float] = []  # seconds of every compilation of this process, once `count_compilations` was called
+
+
+class Spread(NamedTuple):
+    """Median and quartiles, ms."""
+
+    median: float
+    low: float
+    high: float
+
+    def times(self, factor: float) -> "Spread":
+        return Spread(*(factor * value for value in self))
+
+
+class Program(NamedTuple):
+    """A compiled program with its arguments. memory_mb: arguments, results and temporaries, MB; moved: bytes that it
+    moves at least, every argument, result and temporary once written or read."""
+
+    call: Callable[[], Any]
+    compile_s: float
+    compilations: int
+    memory_mb: float
+    moved: float
+
+
+def interleaved(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, Spread]:
+    """Every call once to warm up, then all in turn (A B A B), so that a busy moment meets all of them."""
+    for call in calls.values():
+        jax.block_until_ready(call())
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(repeats):
+        for name, call in calls.items():
+            started = time.perf_counter()
+            jax.block_until_ready(call())
+            times[name].append(1e3 * (time.perf_counter() - started))
+    return {name: spread(values) for name, values in times.items()}
+
+
+def spread(values: list[float]) -> Spread:
+    return Spread(*(float(q) for q in np.quantile(values, [0.5, 0.25, 0.75])))
+
+
+def compiled(function: Any, *arguments: Any) -> Program:
+    """`function` (jitted), compiled for these arguments and bound to them."""
+    before = count_compilations()
+    started = time.perf_counter()
+    call = function.lower(*arguments).compile()
+    seconds = time.perf_counter() - started
+    memory = call.memory_analysis()
+    ends = memory.argument_size_in_bytes + memory.output_size_in_bytes - memory.alias_size_in_bytes
+    temporary = memory.temp_size_in_bytes
+    return Program(
+        lambda: call(*arguments),
+        seconds,
+        count_compilations() - before,
+        (ends + temporary) / 1e6,
+        float(ends + 2 * temporary),
+    )
+
+
+def count_compilations() -> int:
+    """How many programs this process has compiled since the first call."""
+    if not _listening:
+        jax.monitoring.register_event_duration_secs_listener(_listen)
+        _listening.append(True)
+    return len(_compilations)
+
+
+_listening: list[bool] = []
+
+
+def _listen(event: str, seconds: float, **_: Any) -> None:
+    if event == _COMPILED:
+        _compilations.append(seconds)
