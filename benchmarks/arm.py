@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from speed.arm_dynamics import EVALUATIONS_PER_CALL, evaluations, free_runs, pinocchio_calls
 from speed.cases import ARM_SAMPLES, ARM_SEQUENCES, SYSTEMS, training, training_call
-from speed.timing import compiled, interleaved
+from speed.timing import compiled, interleaved, spread
 
 from pgrssnn_jax.physics.arms.build import arm
 
@@ -45,7 +45,7 @@ def dynamics(samples: int, repeats: int) -> dict[str, dict[str, float]]:
     for name, ms in found.items():
         count = EVALUATIONS_PER_CALL if name in alone else evaluations(samples)
         seconds = programs[name].compile_s if name in programs else 0.0
-        figures[name] = {"us": 1e3 * ms.median / count, "compile_s": seconds}
+        figures[name] = {"us": 1e3 * spread(ms)[0] / count, "compile_s": seconds}
     return figures
 
 
@@ -59,7 +59,7 @@ def epochs(samples: int, repeats: int) -> dict[str, dict[str, float]]:
         programs[gradient] = compiled(*training_call(fit, data, 1))
     found = interleaved({name: one.call for name, one in programs.items()}, max(2, repeats // 2))
     return {
-        name: {"s": ms.median / 1e3 / per_call, "compile_s": programs[name].compile_s} for name, ms in found.items()
+        name: {"s": spread(ms)[0] / 1e3 / per_call, "compile_s": programs[name].compile_s} for name, ms in found.items()
     }
 
 

@@ -3,6 +3,7 @@
     tanks, lgssm, arm   epochs and rollouts; --compare: beside PyTorch (the extra `compare`) and Pinocchio, as ratios
     gru                 the recurrence alone beside torch.nn.GRU
     startup             what a user waits for: imports, commands, the first call, discovery (minutes)
+    clone               make train from a fresh clone (downloads packages)
     mappings            fused against split rollouts; members by vmap, one after another, over devices
     grid                members, horizons and precisions on one core and on two (half an hour)
 
@@ -25,7 +26,7 @@ from typing import Any
 from speed.tables import show, write
 
 _ROOT = Path(__file__).resolve().parents[1]
-PARTS = ("tanks", "lgssm", "arm", "gru", "startup", "mappings", "grid")
+PARTS = ("tanks", "lgssm", "arm", "gru", "startup", "clone", "mappings", "grid")
 _USUAL = ("tanks", "lgssm", "arm", "gru")
 _BOTH = ("arm", "grid")  # on one core too
 

@@ -1,7 +1,8 @@
 """What one process measures, on the cores that it was started with: `rollout.py` starts it.
 
 Each part measures the calls that are compared in turn, and gives name -> figures: "ms" (median and quartiles of one
-epoch, rollout or call), and for compiled programs "compile_s", "compilations", "memory_mb" and "roof".
+epoch, rollout or call), "rounds" (ms of each turn), and for compiled programs "compile_s", "compilations", "memory_mb"
+and "roof".
 """
 
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from pgrssnn_jax.physics.arms.build import arm
 from . import arm_dynamics
 from .cases import SYSTEMS, System, inputs, model_and_params, rollout_call, training, training_call
 from .roof import roof
-from .timing import Program, Spread, compiled, interleaved
+from .timing import Program, compiled, interleaved, spread
 from .work import Work, epoch_work, rollout_work
 
 Figures = dict[str, dict[str, Any]]
@@ -34,15 +35,15 @@ class Case(NamedTuple):
 
 def measured(cases: dict[str, Case], repeats: int) -> Figures:
     found = interleaved({name: case.call for name, case in cases.items()}, repeats)
-    return {name: _figures(case, found[name].times(1.0 / case.per_call)) for name, case in cases.items()}
+    return {name: _figures(case, [ms / case.per_call for ms in found[name]]) for name, case in cases.items()}
 
 
-def _figures(case: Case, ms: Spread) -> dict[str, Any]:
-    figures: dict[str, Any] = {"ms": list(ms)}
+def _figures(case: Case, rounds: list[float]) -> dict[str, Any]:
+    figures: dict[str, Any] = {"ms": spread(rounds), "rounds": rounds}
     if case.program is not None:
         figures |= {name: getattr(case.program, name) for name in ("compile_s", "compilations", "memory_mb")}
         if case.work is not None:
-            bounds = roof(case.work, case.program, int(case.per_call), ms.median, usable_cores(), case.dtype)
+            bounds = roof(case.work, case.program, int(case.per_call), figures["ms"][0], usable_cores(), case.dtype)
             figures["roof"] = bounds._asdict()
     return figures
 

@@ -69,13 +69,20 @@ def startup_part(*, quick: bool) -> dict[str, dict[str, Any]]:
         for state in ("nothing compiled", "everything compiled"):
             run = f"hydra.run.dir={folder / 'discovery'}"
             found[f"discovery, {state}"] = _once(_seconds([*python, *_DISCOVER, run], folder / "discovery-cache"))
-        found["make train from a fresh clone"] = _once(_fresh_clone(folder))
     return found
+
+
+def clone_part(*, quick: bool) -> dict[str, dict[str, Any]]:
+    """`make train` in a clone of the last commit, set-up included; it downloads packages. quick: nothing."""
+    if quick:
+        return {}
+    with tempfile.TemporaryDirectory() as folder:
+        return {"make train from a fresh clone": _once(_fresh_clone(Path(folder)))}
 
 
 def _repeated(command: Sequence[str], repeats: int) -> dict[str, Any]:
     _seconds(command)  # files into the system's cache
-    return {"ms": list(spread([1e3 * _seconds(command) for _ in range(repeats)]))}
+    return {"ms": spread([1e3 * _seconds(command) for _ in range(repeats)])}
 
 
 def _once(seconds: float) -> dict[str, Any]:
@@ -126,7 +133,6 @@ def _training(folder: Path) -> tuple[float, float]:
 
 
 def _fresh_clone(folder: Path) -> float:
-    """`make train` in a clone of the last commit, set-up included."""
     clone = folder / "clone"
     subprocess.run(["git", "clone", "--quiet", str(_ROOT), str(clone)], check=True)
     started = time.perf_counter()

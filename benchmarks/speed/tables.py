@@ -30,7 +30,8 @@ def ratios(measured: Measured) -> Rows:
         ratio = goal.ratio(measured)
         if ratio is not None:
             met = "" if goal.reached(ratio) else ", missed"
-            rows.append((goal.what, number(ratio), f"{'≥' if goal.more else '≤'} {goal.goal:g}{met}"))
+            wanted = "" if goal.goal is None else f"{'≥' if goal.more else '≤'} {goal.goal:g}{met}"
+            rows.append((goal.what, number(ratio), wanted))
     return rows
 
 

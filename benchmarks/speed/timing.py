@@ -11,17 +11,6 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 _compilations: list[float] = []  # seconds of every compilation of this process, once `count_compilations` was called
 
 
-class Spread(NamedTuple):
-    """Median and quartiles, ms."""
-
-    median: float
-    low: float
-    high: float
-
-    def times(self, factor: float) -> "Spread":
-        return Spread(*(factor * value for value in self))
-
-
 class Program(NamedTuple):
     """A compiled program with its arguments. memory_mb: arguments, results and temporaries, MB; moved: bytes that it
     moves at least, every argument, result and temporary once written or read."""
@@ -33,8 +22,8 @@ class Program(NamedTuple):
     moved: float
 
 
-def interleaved(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, Spread]:
-    """Every call once to warm up, then all in turn (A B A B), so that a busy moment meets all of them."""
+def interleaved(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[str, list[float]]:
+    """ms of every round. All calls once to warm up, then in turn (A B A B), so that a busy moment meets all of them."""
     for call in calls.values():
         jax.block_until_ready(call())
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -43,11 +32,12 @@ def interleaved(calls: Mapping[str, Callable[[], Any]], repeats: int) -> dict[st
             started = time.perf_counter()
             jax.block_until_ready(call())
             times[name].append(1e3 * (time.perf_counter() - started))
-    return {name: spread(values) for name, values in times.items()}
+    return times
 
 
-def spread(values: list[float]) -> Spread:
-    return Spread(*(float(q) for q in np.quantile(values, [0.5, 0.25, 0.75])))
+def spread(values: list[float]) -> list[float]:
+    """Median and quartiles."""
+    return [float(q) for q in np.quantile(values, [0.5, 0.25, 0.75])]
 
 
 def compiled(function: Any, *arguments: Any) -> Program:

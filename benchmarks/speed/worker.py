@@ -34,8 +34,8 @@ def main() -> None:
         figures = grid.grid_part(system, np.dtype(precision).type, quick=chosen.quick)
     elif name == "mappings":
         figures = grid.mappings_part(quick=chosen.quick)
-    elif name == "startup":
-        figures = startup.startup_part(quick=chosen.quick)
+    elif name in ("startup", "clone"):
+        figures = {"startup": startup.startup_part, "clone": startup.clone_part}[name](quick=chosen.quick)
     else:
         parts = {"arm": measure.arm_part, "gru": measure.gru_part}
         part = parts.get(name) or (lambda **how: measure.system_part(name, **how))
