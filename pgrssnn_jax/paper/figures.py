@@ -16,7 +16,7 @@ from pgrssnn_jax.paper.published import Paper
 from pgrssnn_jax.paper.rows import EvidenceTable, Row
 from pgrssnn_jax.paper.tables import who
 from pgrssnn_jax.reports import style
-from pgrssnn_jax.reports.content import rounded
+from pgrssnn_jax.reports.content import number
 from pgrssnn_jax.reports.panels import limit
 from pgrssnn_jax.reports.prediction import compared
 
@@ -186,7 +186,7 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
             left_out.append(row.series)
             continue
         measured, metrics = found[0], row.run.metrics if row.run else None
-        title = f"{row.series}: {rounded(row.figures.ensemble, table.unit)}"
+        title = f"{row.series}: {number(row.figures.ensemble, table.unit)}"
         curves.append((title, found[1], _looks(table)[row.series]))
     what = f"beside its name the {table.merit.upper()} of the curve"
     lines = [f"free run over the test record; a curve is the mean prediction of the finished members, {what}"]

@@ -10,13 +10,13 @@ import pandas as pd
 from pgrssnn_jax.paper.order import order_lines
 from pgrssnn_jax.paper.published import Paper, Value
 from pgrssnn_jax.paper.rows import EvidenceTable, Row, failures
-from pgrssnn_jax.reports.content import MISSING, MemberRow, duration, plus_minus, rounded
-from pgrssnn_jax.reports.tabular import Table
+from pgrssnn_jax.reports.content import MISSING, MemberRow, duration, number
+from pgrssnn_jax.reports.tables import Table
 
 QUOTED = "†"
 SHOWN_SEEDS = 12
 IN_TERMINAL = ("variant", "mean ± std", "members", "published", "difference")  # the page has all
-_NOT_IN_LATEX = ("failed", "time")  # members says as much, and the cost stands elsewhere
+_NOT_IN_LATEX = ["failed", "time"]  # members says as much, and the cost stands elsewhere
 _SIGNS = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
     "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"$<$", ">": r"$>$", "|": r"$|$", "±": r"$\pm$",
@@ -45,8 +45,8 @@ def _cells(row: Row, table: EvidenceTable) -> list[str]:
     members = f"{len(row.finished)} / {MISSING if row.planned is None else row.planned}"
     return [
         f"{row.label} {QUOTED}" if quoted else row.label,
-        plus_minus(f.mean, f.std) if math.isfinite(f.mean) else mean,
-        *map(rounded, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
+        number(f.mean, std=f.std) if math.isfinite(f.mean) else mean,
+        *map(number, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
         MISSING if quoted else members,
         MISSING if row.run is None or row.run.metrics is None else str(len(row.failed)),
         published(row.published),
@@ -132,12 +132,16 @@ def terminal_table(table: EvidenceTable, paper: Paper) -> Table:
 
 def markdown(tables: Sequence[EvidenceTable], paper: Paper) -> str:
     """All tables, each with its notes, for a file of their own."""
-    parts = [f"# Measured and published\n\nPublished figures: {_escaped(paper.source)}.\n"]
+    lines = ["# Measured and published", "", f"Published figures: {_escaped(paper.source)}.", ""]
     for table in tables:
-        made, below = table_of(table), [*problems(table), *notes(table, paper)]
-        lines = [f"## {_escaped(made.title)}", "", made.markdown(_escaped), ""]
-        parts.append("\n".join([*lines, *(f"- {_escaped(line)}" for line in below), ""]))
-    return "\n".join(parts)
+        made = table_of(table)
+        rows = [[*map(_escaped, made.header)], [":---", *["---:"] * len(made.header[1:])]]
+        for look, cells in made.rows:
+            name, *figures = map(_escaped, cells)
+            rows.append([f"*{name}*" if look == "quoted" else name, *figures])
+        lines += [f"## {_escaped(made.title)}", "", *(f"| {' | '.join(cells)} |" for cells in rows), ""]
+        lines += [*(f"- {_escaped(line)}" for line in [*problems(table), *notes(table, paper)]), ""]
+    return "\n".join(lines)
 
 
 def one_line(text: str) -> str:
@@ -145,8 +149,8 @@ def one_line(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Text as it stands in Markdown, on one line; a cell's bars are escaped by its table."""
-    return re.sub(r"([\\`*_\[\]<>#~])", r"\\\1", one_line(text))
+    """Text as it stands in Markdown, on one line."""
+    return re.sub(r"([\\`*_\[\]<>#~|])", r"\\\1", one_line(text))
 
 
 def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
@@ -156,26 +160,26 @@ def latex(tables: Sequence[EvidenceTable], paper: Paper) -> str:
 
 
 def _float(table: EvidenceTable, paper: Paper) -> str:
-    whole = table_of(table)
-    made = whole.only([name for name in whole.header if name not in _NOT_IN_LATEX])
-    lines = [" & ".join(map(latex_escaped, made.header)) + r" \\ \midrule"]
-    for look, cells in made.rows:
-        name, *figures = map(_latex_cell, cells)
-        lines.append(" & ".join([rf"\textit{{{name}}}" if look == "quoted" else name, *figures]) + r" \\")
-    quoted = ["† quoted from the literature."] if any(look == "quoted" for look, _ in made.rows) else []
-    below = map(latex_escaped, [*quoted, *rule(table, paper), *problems(table)])
-    notes = "\n".join(rf"  \par\smallskip\parbox{{\linewidth}}{{\scriptsize {text}}}" for text in below)
+    made = table_of(table)
+    cells = pd.DataFrame([row for _, row in made.rows], columns=list(made.header)).drop(columns=_NOT_IN_LATEX)
+    cells = cells.map(_latex_cell).rename(columns=latex_escaped)
+    quoted = [look == "quoted" for look, _ in made.rows]
+    cells.loc[quoted, "variant"] = [rf"\textit{{{name}}}" for name in cells["variant"][quoted]]
+    columns = "l" + "r" * len(cells.columns[1:])
+    body = cells.to_latex(index=False, escape=False, column_format=columns).strip()
+    below = ["† quoted from the literature."] * any(quoted) + [*rule(table, paper), *problems(table)]
+    notes = (rf"  \par\smallskip\parbox{{\linewidth}}{{\scriptsize {latex_escaped(text)}}}" for text in below)
     caption = latex_escaped(f"{table.title}: {table.heading}, beside the figures of {paper.source}.")
-    rows = "\n    ".join(lines)
-    return rf"""\begin{{table}}
-  \centering\scriptsize\setlength{{\tabcolsep}}{{2.5pt}}
-  \caption{{{caption}}}\label{{tab:{table.slug}}}
-  \makebox[\linewidth][c]{{\begin{{tabular}}{{l{"r" * len(made.header[1:])}}} \toprule
-    {rows}
-  \bottomrule \end{{tabular}}}}
-{notes}
-\end{{table}}
-"""
+    return "\n".join(
+        [
+            r"\begin{table}",
+            r"  \centering\scriptsize\setlength{\tabcolsep}{2.5pt}",
+            rf"  \caption{{{caption}}}\label{{tab:{table.slug}}}",
+            rf"  \makebox[\linewidth][c]{{{body}}}",
+            *notes,
+            "\\end{table}\n",
+        ]
+    )
 
 
 def _latex_cell(cell: str) -> str:

@@ -41,23 +41,26 @@ class MemberRow(NamedTuple):
     cc: float
 
 
-def rounded(value: Number | None, unit: str = "") -> str:
-    """Four significant digits and the unit; a dash for what is not a number."""
+def number(value: Number | None, unit: str = "", *, std: Number | None = None) -> str:
+    """Four significant digits, ± the deviation where there is one, and the unit; a dash for what is not a number.
+
+    The deviation has as many decimals as the value, or two digits where it is smaller than these show.
+    """
     if value is None or not math.isfinite(value):
         return MISSING
     digits = f"{value:#.4g}".removesuffix(".")
+    if std is not None and math.isfinite(std):
+        decimals = len(digits.partition(".")[2])
+        plain = "e" not in digits and 10.0 ** (1 - decimals) <= std < 1e6
+        digits += f" ± {std:.{decimals}f}" if plain else f" ± {std:.2g}"
     return f"{digits} {unit}".rstrip()
 
 
-def plus_minus(mean: Number, std: Number, unit: str = "") -> str:
-    """mean ± std and the unit; std to as many decimals as the mean, or with two digits where it is smaller."""
-    digits = rounded(mean)
-    if not math.isfinite(mean + std):
-        return rounded(mean, unit)
-    decimals = len(digits.partition(".")[2])
-    plain = "e" not in digits and 10.0 ** (1 - decimals) <= std < 1e6
-    spread = f"{std:.{decimals}f}" if plain else f"{std:.2g}"
-    return f"{digits} ± {spread} {unit}".rstrip()
+def percent(share: Number | None) -> str:
+    """A share as a percentage with one decimal where that is not zero; large ones without."""
+    if share is None or not math.isfinite(share):
+        return MISSING
+    return f"{100 * share:.{0 if abs(share) >= 0.9995 else 1}f}".removesuffix(".0") + " %"
 
 
 def duration(seconds: Number | None) -> str:
@@ -67,10 +70,9 @@ def duration(seconds: Number | None) -> str:
     return f"{seconds:.0f} s" if seconds >= 999.5 else f"{seconds:.3g} s"
 
 
-def spent(by_phase: Mapping[str, Number | None]) -> tuple[str, str]:
-    """The time of all phases, and that of each in words."""
-    phases = ", ".join(f"{name} {duration(value)}" for name, value in by_phase.items() if name != "total")
-    return duration(by_phase.get("total")), phases
+def phases(by_phase: Mapping[str, Number | None]) -> str:
+    """The time of each phase, in words."""
+    return ", ".join(f"{name} {duration(value)}" for name, value in by_phase.items() if name != "total")
 
 
 def over_outputs(values: Sequence[Number | None] | Number | None) -> float:

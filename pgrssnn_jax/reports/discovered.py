@@ -1,6 +1,7 @@
 """The result of a discovery: what is missing, the physics with it, and how far the gap shrank."""
 
 from collections.abc import Mapping
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,6 @@ from pgrssnn_jax.physics.arms.urdf_writer import urdf_of
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
 from pgrssnn_jax.reports.discovery_tables import finding_table
-from pgrssnn_jax.reports.markup import html, tag
 from pgrssnn_jax.reports.write import write_discovery_report, yaml_text
 from pgrssnn_jax.training.run_folder import RunFolder
 from pgrssnn_jax.training.run_lock import locked
@@ -94,4 +94,4 @@ class Discovered:
 
     def _repr_html_(self) -> str:
         found = (finding_table(effect).html() for effect in self.details["effects"])
-        return html((tag("b", self.verdict), f": {self.sentence}", *found))
+        return "".join((f"<b>{escape(self.verdict)}</b>: {escape(self.sentence)}", *found))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgrssnn_jax.reports.content import MISSING, Metrics, Number, plus_minus, rounded
+from pgrssnn_jax.reports.content import MISSING, Metrics, Number, number
 
 Discovery = Mapping[str, Any]
 
@@ -76,18 +76,12 @@ class Quantity(NamedTuple):
     def words(self) -> str:
         """Value with deviation and unit."""
         if self.at_bound:
-            return f"{rounded(self.value, self.unit)}, at its bound"
-        return plus_minus(self.value, self.std, self.unit)
+            return f"{number(self.value, self.unit)}, at its bound"
+        return number(self.value, self.unit, std=self.std)
 
 
 def real(value: Any) -> float:
     return math.nan if value is None else float(value)
-
-
-def percent(share: Any) -> str:
-    """A share as a percentage with one decimal, a large one without."""
-    share = 100 * real(share)
-    return MISSING if not math.isfinite(share) else f"{share:.1f} %" if abs(share) < 99.95 else f"{share:.0f} %"
 
 
 def chance(p: Number | None) -> str:
@@ -140,7 +134,7 @@ def gap_metric(discovery: Discovery) -> tuple[str, str]:
 def gap_line(discovery: Discovery) -> str:
     """The errors on the test record in one line."""
     metric, unit = gap_metric(discovery)
-    return f"test {metric}: " + ", ".join(f"{row.stage} {rounded(row.test, unit)}" for row in gap_rows(discovery))
+    return f"test {metric}: " + ", ".join(f"{row.stage} {number(row.test, unit)}" for row in gap_rows(discovery))
 
 
 def shifts(discovery: Discovery) -> list[Shift]:

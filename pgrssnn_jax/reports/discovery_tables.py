@@ -11,9 +11,9 @@ from rich.text import Text
 
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports import discovery_facts as facts
-from pgrssnn_jax.reports.content import MISSING, Number, plus_minus, rounded
-from pgrssnn_jax.reports.discovery_facts import Discovery, chance, percent, real
-from pgrssnn_jax.reports.tabular import Row, Table
+from pgrssnn_jax.reports.content import MISSING, Number, number, percent
+from pgrssnn_jax.reports.discovery_facts import Discovery, chance, real
+from pgrssnn_jax.reports.tables import Row, Table
 
 SHOWN_ROWS = 15
 
@@ -82,8 +82,8 @@ def gap_table(discovery: Discovery) -> Table:
     closed = (discovery.get("gap") or {}).get("closed_fraction")
     rows: list[list[str]] = []
     for row in facts.gap_rows(discovery):
-        span = f"{rounded(row.low)} .. {rounded(row.high)}" if math.isfinite(row.low + row.high) else MISSING
-        rows.append([f"{row.stage}: {row.words}", rounded(row.train), rounded(row.test), span])
+        span = f"{number(row.low)} .. {number(row.high)}" if math.isfinite(row.low + row.high) else MISSING
+        rows.append([f"{row.stage}: {row.words}", number(row.train), number(row.test), span])
     table = _table(f"The gap: {metric}{content.in_unit(unit)}", ("physics", "train", "test", "test interval"), rows)
     return table._replace(footer=[f"{percent(closed)} of the gap closed"] if closed is not None else [])
 
@@ -93,10 +93,10 @@ def joint_table(discovery: Discovery) -> Table:
     rows: list[list[str]] = []
     for row in discovery.get("joints") or ():
         cells = [
-            " → ".join(rounded(real((row.get(regime) or {}).get(stage))) for stage in ("before", "after"))
+            " → ".join(number(real((row.get(regime) or {}).get(stage))) for stage in ("before", "after"))
             for regime in ("all", "moving", "at_rest")
         ]
-        rows.append([str(row["joint"]), rounded(row.get("std")), *cells])
+        rows.append([str(row["joint"]), number(row.get("std")), *cells])
     header = ("joint", "std (Nm)", "all", "moving", "at rest")
     return _table("Torque errors by joint, nominal → with the missing effects", header, rows)
 
@@ -105,8 +105,8 @@ def shift_table(discovery: Discovery) -> Table:
     """The numbers of the physics, the largest relative shift first."""
     rows: list[list[str]] = []
     for row in facts.shifts(discovery):
-        fits = plus_minus(row.recalibrated, row.recalibrated_std), plus_minus(row.final, row.final_std)
-        rows.append([row.name, rounded(row.before), *fits, row.unit or MISSING, percent(row.size)])
+        fits = number(row.recalibrated, std=row.recalibrated_std), number(row.final, std=row.final_std)
+        rows.append([row.name, number(row.before), *fits, row.unit or MISSING, percent(row.size)])
     header = ("number", "before", "refitted ± std", "final ± std", "unit", "shift")
     table = _table("The numbers of the physics, largest shift first", header, rows)
     return table._replace(footer=facts.remarks(discovery))
@@ -122,7 +122,7 @@ def number_tables(discovery: Discovery) -> list[Table]:
     network = discovery.get("network") or {}
     of = str(network.get("metric") or "RMSE")
     supplied: list[list[str]] = [
-        [words, percent(network.get(f"share_{stage}")), rounded(real(network.get(f"{of.lower()}_{stage}")))]
+        [words, percent(network.get(f"share_{stage}")), number(real(network.get(f"{of.lower()}_{stage}")))]
         for stage, words in facts.STAGES.items()
         if f"share_{stage}" in network
     ]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cached_property
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple, overload
 
@@ -16,7 +17,6 @@ from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.check import checked_inputs, checked_start
 from pgrssnn_jax.records.arguments import check_kind, shown
 from pgrssnn_jax.records.record import Array, Record, RecordInfo
-from pgrssnn_jax.reports.markup import html, tag
 from pgrssnn_jax.reports.prediction import compared, prediction_figure
 from pgrssnn_jax.reports.tables import member_table
 from pgrssnn_jax.reports.write import write_report, yaml_text
@@ -285,4 +285,6 @@ class Ensemble:
         return f"{what}: {count} members, {count - failed} finished, {failed} failed"
 
     def _repr_html_(self) -> str:
-        return html((tag("b", repr(self)), member_table(self._evaluated.metrics).html() if self._evaluated else ""))
+        return f"<b>{escape(repr(self))}</b>" + (
+            member_table(self._evaluated.metrics).html() if self._evaluated else ""
+        )

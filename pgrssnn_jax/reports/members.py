@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, style
-from pgrssnn_jax.reports.content import MemberRow, Metrics, rounded
+from pgrssnn_jax.reports.content import MemberRow, Metrics, number
 
 LOSS = "loss: mean squared scaled error (–)"
 NAMED_MEMBERS = 30
@@ -128,7 +128,7 @@ def _draw_ranking(ax: Axes, finished: list[MemberRow], failed: list[MemberRow], 
     if np.isfinite([summary.mean, summary.std]).all():
         low, high = summary.mean - summary.std, summary.mean + summary.std
         ax.fill_between([0, end], low, high, color=style.SKY, alpha=0.16, linewidth=0)
-        handles.append(Patch(facecolor=style.SKY, alpha=0.3, label=f"mean ± std ({rounded(summary.std)})"))
+        handles.append(Patch(facecolor=style.SKY, alpha=0.3, label=f"mean ± std ({number(summary.std)})"))
     lines: tuple[tuple[str, str, Any], ...] = (
         ("mean", style.INK, "-"),
         ("median", style.INK, (0, (4, 2))),
@@ -139,7 +139,7 @@ def _draw_ranking(ax: Axes, finished: list[MemberRow], failed: list[MemberRow], 
         value = getattr(summary, name)
         if np.isfinite(value):
             ax.hlines(value, 0, end, color=colour, linestyle=dash, linewidth=1.3, zorder=2)
-            handles.append(style.key(f"{name} {rounded(value, unit)}", colour, linestyle=dash))
+            handles.append(style.key(f"{name} {number(value, unit)}", colour, linestyle=dash))
     if failed:
         ax.axvspan(end, len(order) + 1, color=style.VERMILLION, alpha=0.10, linewidth=0)
         places, top = np.arange(len(finished), len(order)) + 1, np.full(len(failed), 0.94)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, panels, style
-from pgrssnn_jax.reports.content import Metrics, rounded
+from pgrssnn_jax.reports.content import Metrics, number
 from pgrssnn_jax.training.intervals import LEVEL
 
 
@@ -32,8 +32,8 @@ def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -
     """One pair of panels per output: the whole sequence up to 1500 samples, the first 300 samples of a longer one."""
     found, outputs, dt = compared(predictions, metrics), metrics["outputs"], metrics["dt"]
     best, unit = content.headline(metrics), content.unit(metrics)
-    spread = content.plus_minus(best.mean, best.std, unit)
-    result = f"{content.merit(metrics)}: ensemble {rounded(best.ensemble, unit)} · members {spread} (mean ± std)"
+    spread = content.number(best.mean, unit, std=best.std)
+    result = f"{content.merit(metrics)}: ensemble {number(best.ensemble, unit)} · members {spread} (mean ± std)"
     result += f" · {content.counts(metrics)} · n_init {metrics['n_init']}"
     measured = panels.finite(np.where(predictions["mask"], predictions["y"], np.nan))
     n_seq, time, n_y = measured.shape

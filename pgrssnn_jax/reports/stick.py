@@ -4,10 +4,9 @@ The motion is inline SVG without script, for a page that may load and run nothin
 lines above it whose `animate` elements (SMIL) hold the values of one attribute at the frames.
 """
 
-import base64
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,8 +16,8 @@ from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import Metrics
-from pgrssnn_jax.reports.markup import Content, Markup, tag
 from pgrssnn_jax.reports.poses import Poses, Stage, circle, floor_lines, project, read_poses, set_stage
+from pgrssnn_jax.reports.rendering import rendered
 
 FLOOR, SHADOW = "#f3f4f6", "#dcdfe3"
 SHOTS, COLUMNS = 8, 4
@@ -59,7 +58,7 @@ def stick_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Fig
     return figure
 
 
-def stick_animation(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Markup:
+def stick_animation(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> str:
     """The sequence over about ten seconds, again and again: an `svg` element. `predictions`: as `read_poses`.
 
     Where a pose is missing its arm is not seen. A mark runs along the distance between the tips.
@@ -88,49 +87,39 @@ def stick_animation(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> 
         pixels = ax.transData.transform(points.reshape(-1, 2)).reshape(points.shape)
         return np.clip(np.array([0.0, height]) + pixels * (1, -1), -width, 2 * width)
 
-    clock = {"dur": f"{seconds / speed:.4g}s", "repeatCount": "indefinite"}
     arms = [("measured", SHADOW, 2.6, 0.0, ON_FLOOR), *((name, *look, 1.0) for name, look in LOOKS.items())]
     lines = [(places(arm, project(getattr(poses, name)[shown] * lift)), *look) for name, *look, lift in arms]
     now = np.stack(np.broadcast_arrays(metrics["dt"] * shown[:, None], curve.get_ylim()), -1)
     lines.append((places(curve, now), style.INK, 1.0, 0.0))
-    data = base64.b64encode(picture.getvalue()).decode("ascii")
-    return tag(
-        "svg",
-        tag("title", f"{content.heading(metrics)}: the arm, measured and predicted"),
-        tag("desc", f"Stick figure of the arm from the side, {pace}. {result}; {source}."),
-        tag("image", href=f"data:image/png;base64,{data}", width=f"{width:g}", height=f"{height:g}"),
-        *(_moving(points, colour, figure.dpi / 72 * np.array(wide), clock) for points, colour, *wide in lines),
-        viewBox=f"0 0 {width:g} {height:g}",
-        role="img",
-        fill="none",
-        stroke_linecap="round",
-        stroke_linejoin="round",
+    return rendered(
+        "stick.svg.j2",
+        title=f"{content.heading(metrics)}: the arm, measured and predicted",
+        description=f"Stick figure of the arm from the side, {pace}. {result}; {source}.",
+        picture=picture.getvalue(),
+        width=f"{width:g}",
+        height=f"{height:g}",
+        seconds=f"{seconds / speed:.4g}",
+        lines=[
+            {"colour": colour, "wide": f"{figure.dpi / 72 * wide:.3g}", "dot": f"{figure.dpi / 72 * dot:.3g}", **moving}
+            for points, colour, wide, dot in lines
+            if (moving := _moving(points))
+        ],
     )
 
 
-def _moving(places: np.ndarray, colour: str, wide: np.ndarray, clock: Mapping[str, str]) -> Content:
-    """A line `[frame, point, 2]` with dots on it, `wide` pixels each; a missing pose holds the last one, unseen."""
+def _moving(places: np.ndarray) -> dict[str, list[str]]:
+    """A line `[frame, point, 2]` and the dots on it, at every frame; a missing pose holds the last one, unseen. Empty
+    where none is known."""
     known = np.atleast_1d(np.isfinite(places).all((1, 2)))
     if not known.any():
-        return ""
+        return {}
     held = places[np.maximum.accumulate(np.where(known, np.arange(len(known)), np.argmax(known)))].round(1).tolist()
-
-    def animate(attribute: str, values: Sequence[str], mode: str = "") -> Content:
-        steps = {"attributeName": attribute, "values": ";".join(values), "calcMode": mode, **clock}
-        return tag("animate", **steps) if len(set(values)) > 1 else ""
-
-    line = [" ".join(f"{x:g},{y:g}" for x, y in pose) for pose in held]
-    # A line of no length with round ends is a dot: one element moves all joints.
-    dots = ["".join(f"M{x:g} {y:g}h0" for x, y in pose) for pose in held]
-    seen = ["1" if one else "0" for one in known]
-    return tag(
-        "g",
-        animate("opacity", seen, "discrete"),
-        tag("polyline", animate("points", line), points=line[0], stroke_width=f"{wide[0]:.3g}"),
-        tag("path", animate("d", dots), d=dots[0], stroke_width=f"{wide[1]:.3g}"),
-        stroke=colour,
-        opacity=seen[0],
-    )
+    return {
+        "seen": ["1" if one else "0" for one in known],
+        "points": [" ".join(f"{x:g},{y:g}" for x, y in pose) for pose in held],
+        # A line of no length with round ends is a dot: one element moves all joints.
+        "dots": ["".join(f"M{x:g} {y:g}h0" for x, y in pose) for pose in held],
+    }
 
 
 def _lines(poses: Poses, predictions: Mapping[str, np.ndarray], metrics: Metrics) -> tuple[str, str]:

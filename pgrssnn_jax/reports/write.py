@@ -10,10 +10,9 @@ import yaml
 from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports.discovery_figures import discovery_figures
-from pgrssnn_jax.reports.discovery_page import discovery_html
 from pgrssnn_jax.reports.members import members_figure, training_figure
 from pgrssnn_jax.reports.network import network_figure
-from pgrssnn_jax.reports.page import run_html
+from pgrssnn_jax.reports.pages import discovery_html, run_html
 from pgrssnn_jax.reports.prediction import prediction_figure
 from pgrssnn_jax.reports.stick import stick_animation, stick_figure
 from pgrssnn_jax.training.run_folder import RunFolder

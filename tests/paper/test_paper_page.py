@@ -12,7 +12,7 @@ from pgrssnn_jax.paper.page import evidence_page
 from pgrssnn_jax.paper.published import read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
 from pgrssnn_jax.paper.tables import notes, problems
-from pgrssnn_jax.reports.content import duration, plus_minus, rounded
+from pgrssnn_jax.reports.content import duration, number
 
 PAPER = read_paper()
 EVIL = "<script>alert(1)</script>\"'&"
@@ -68,8 +68,8 @@ def test_the_numbers_are_those_of_the_tables(tmp_path, sweep):
     _, tables, page = made(tmp_path, sweep)
     text = Reader(page).text
     for row in (row for table in tables for row in table.measured):
-        assert plus_minus(row.figures.mean, row.figures.std) in text
-        assert all(rounded(value) in text for value in row.figures[2:5])
+        assert number(row.figures.mean, std=row.figures.std) in text
+        assert all(number(value) in text for value in row.figures[2:5])
         assert duration(row.seconds) in text
         assert row.published is None or f"{row.published.mean:.2f}" in text
 

@@ -16,8 +16,8 @@ from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports import discovery_facts as facts
-from pgrssnn_jax.reports.discovery_page import discovery_html
 from pgrssnn_jax.reports.discovery_tables import discovery_summary
+from pgrssnn_jax.reports.pages import discovery_html
 from pgrssnn_jax.reports.write import write_discovery_report
 from pgrssnn_jax.training.run_folder import RunFolder
 
@@ -109,8 +109,8 @@ def test_the_numbers_are_those_of_the_discovery(tmp_path):
     shares += [row["gain"] for row in found["ranking"]] + [row.size for row in facts.shifts(found)[:4]]
     shares += [found["disagreement"][0][n] for n in ("share_of_error", "share_of_samples")]
     shares += [found["network"][f"share_{s}"] for s in ("before", "after")]
-    assert all(content.rounded(value) in reader.text for value in shown)
-    assert all(facts.percent(share) in reader.text for share in shares)
+    assert all(content.number(value) in reader.text for value in shown)
+    assert all(content.percent(share) in reader.text for share in shares)
     assert all(facts.chance(row["p_value"]) in reader.text for row in found["ranking"])
     assert content.duration(found["seconds"]["total"]) in reader.text
 
@@ -126,7 +126,7 @@ def test_every_verdict_has_its_heading(verdict):
 def test_several_findings_are_counted_and_each_has_its_card():
     found = TANK[0] | {"effects": [TANK[0]["effects"][0], ARM[0]["effects"][0]]}
     html = page(found)
-    assert html.count('<article class="finding prose">') == 2
+    assert html.count('<article class="finding">') == 2
     text = Reader(html).text
     assert "2 missing effects were found" in text
     for effect in found["effects"]:

@@ -5,9 +5,10 @@ import pytest
 from report_samples import Run, lgssm, tanks
 from test_report_page import Reader, write
 
-from pgrssnn_jax.reports.explained import chosen_table, discovery_command
 from pgrssnn_jax.reports.network import network_figure
+from pgrssnn_jax.reports.pages import discovery_command
 from pgrssnn_jax.reports.prediction import compared, prediction_figure
+from pgrssnn_jax.reports.tables import choice_table
 
 RECIPE = {
     "name": "auto",
@@ -88,7 +89,7 @@ def test_samples_outside_the_range_of_training_are_loud(tmp_path):
 
 
 def test_the_table_of_candidates_names_the_chosen_one_first():
-    table = chosen_table(RECIPE, "tanks")
+    table = choice_table(RECIPE, "tanks")
     assert [row[0] for row in table.rows] == ["headline", ""]
     assert table.rows[0][1] == ["0.1200", "300", "correction=0.1"]
 

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from report_samples import CONFIG, ENVIRONMENT, Run, lgssm, tanks
 
 from pgrssnn_jax.reports import content
-from pgrssnn_jax.reports.page import run_html
+from pgrssnn_jax.reports.pages import run_html
 from pgrssnn_jax.reports.prediction import prediction_figure
 from pgrssnn_jax.training.run_folder import RunFolder
 
@@ -94,7 +94,7 @@ def test_the_numbers_are_those_of_metrics(tmp_path):
     flat = [summary, *summary["by_n_init"].values()]
     shown = {v for table in flat for k, v in table.items() if k.startswith(("rmse", "nrmse"))}
     shown |= {v[0] for m in run.metrics["members"] if m["test"] for v in m["test"].values()}
-    assert all(content.rounded(value) in reader.text for value in shown)
+    assert all(content.number(value) in reader.text for value in shown)
     assert f"{summary['finished']} / {summary['planned']}" in reader.text
     assert content.duration(run.metrics["seconds"]["total"]) in reader.text
 

@@ -12,7 +12,7 @@ from report_samples import CONFIG, ENVIRONMENT, Run, arm, tanks, with_skeleton
 from rich.console import Console
 
 from pgrssnn_jax.reports import content, tables
-from pgrssnn_jax.reports.page import run_html
+from pgrssnn_jax.reports.pages import run_html
 from pgrssnn_jax.reports.poses import floor_lines, project, read_poses, set_stage
 from pgrssnn_jax.reports.stick import distance_text, stick_animation, stick_figure
 from pgrssnn_jax.reports.write import write_report
@@ -216,11 +216,11 @@ def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
     assert "…" not in paper.getvalue()
     text = page(tmp_path, run, ())
     table = tables.output_table(run.metrics)
-    assert table.html() in text
+    assert table._repr_html_() in text
     for k, (_, (name, unit, *merits)) in enumerate(table.rows):
         expected = [np.mean([test[name][k] for test in tests]) for name in ("rmse", "nrmse", "fit_percent", "cc")]
         assert (name, unit) == (f"position_{k + 1}", "rad")
-        assert merits == [content.rounded(value) for value in expected]
+        assert merits == [content.number(value) for value in expected]
         (cells,) = re.findall(rf"position_{k + 1} +rad +(.*)", paper.getvalue())
         np.testing.assert_allclose([float(cell) for cell in cells.split()], expected, rtol=1e-3)
     alone = page(tmp_path, tanks(members=2, samples=30), ())

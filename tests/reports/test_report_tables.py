@@ -8,7 +8,7 @@ from report_samples import arm, lgssm, tanks
 from rich.console import Console
 
 from pgrssnn_jax.reports import content, tables
-from pgrssnn_jax.reports.tabular import Table
+from pgrssnn_jax.reports.tables import Table
 
 
 def printed(table: Table, width: int = 80) -> str:
@@ -104,10 +104,10 @@ def test_several_outputs_are_averaged_and_said_so():
 
 
 def test_a_table_shows_itself_in_a_notebook_escaped():
-    table = Table(("name", "figure"), [("failed", ["<b>", content.rounded(0.123456)])], "a title", ["a line"])
-    assert table._repr_html_() == (
-        '<h3>a title</h3><div class="scroll"><table><thead><tr><th>name</th><th>figure</th></tr></thead><tbody>'
-        '<tr class="failed"><td>&lt;b&gt;</td><td>0.1235</td></tr>'
+    table = Table(("name", "figure"), [("failed", ["<b>", content.number(0.123456)])], "a title", ["a line"], ["name"])
+    assert table._repr_html_().replace("\n", "") == (
+        '<h3>a title</h3><div class="scroll"><table><thead><tr><th class="words">name</th><th>figure</th></tr></thead>'
+        '<tbody><tr class="failed"><td class="words">&lt;b&gt;</td><td>0.1235</td></tr>'
         '</tbody></table></div><ul class="notes"><li>a line</li></ul>'
     )
     assert lines(printed(table), "<b>") == [["<b>", "0.1235"]]
@@ -126,15 +126,15 @@ def test_a_table_shows_itself_in_a_notebook_escaped():
     ],
 )
 def test_rounding(value, text):
-    assert content.rounded(value) == text
+    assert content.number(value) == text
 
 
 def test_the_deviation_has_the_decimals_of_the_mean():
-    assert content.plus_minus(0.1799, 0.03779, "V") == "0.1799 ± 0.0378 V"
-    assert content.plus_minus(0.1799, float("nan"), "V") == "0.1799 V"
-    assert content.plus_minus(1e30, 1e29) == "1.000e+30 ± 1e+29"
-    assert content.plus_minus(0.1799, 1.234e-6) == "0.1799 ± 1.2e-06"
-    assert content.plus_minus(0.1799, 0.0) == "0.1799 ± 0"
+    assert content.number(0.1799, "V", std=0.03779) == "0.1799 ± 0.0378 V"
+    assert content.number(0.1799, "V", std=float("nan")) == "0.1799 V"
+    assert content.number(1e30, std=1e29) == "1.000e+30 ± 1e+29"
+    assert content.number(0.1799, std=1.234e-6) == "0.1799 ± 1.2e-06"
+    assert content.number(0.1799, std=0.0) == "0.1799 ± 0"
 
 
 def test_mixed_units_have_no_common_unit():
