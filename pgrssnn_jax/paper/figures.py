@@ -5,11 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from pgrssnn_jax.paper.published import Paper
@@ -20,19 +18,21 @@ from pgrssnn_jax.reports.content import number
 from pgrssnn_jax.reports.panels import limit
 from pgrssnn_jax.reports.prediction import compared
 
-COLOURS = {"guided": style.BLUE, "black_box": style.YELLOW, "baseline": style.GREEN, "physics": style.QUIET}
-KINDS = {"guided": "physics-guided", "black_box": "black box", "baseline": "other baseline", "physics": "physics only"}
+KINDS = {
+    "guided": ("physics-guided", style.BLUE),
+    "black_box": ("black box", style.YELLOW),
+    "baseline": ("other baseline", style.GREEN),
+    "physics": ("physics only", style.QUIET),
+}
 PUBLISHED: dict[str, Any] = {"marker": "D", "markersize": 6, "markerfacecolor": "white", "markeredgewidth": 1.5}
-PUBLISHED["markeredgecolor"] = style.VERMILLION
-ALONE: dict[str, Any] = {"color": style.QUIET, "linestyle": (0, (4, 2))}
 ROW = 0.34  # inches
 FAR = 12.0  # largest over smallest figure, from which on the axis is logarithmic
-LOOKS = (  # colour, line, marker: told apart without colour too
-    (style.BLUE, "-", "o"),
-    (style.VERMILLION, (0, (5, 1.5)), "s"),
-    (style.GREEN, (0, (1.5, 1.2)), "^"),
-    (style.YELLOW, (0, (6, 1.5, 1.5, 1.5)), "v"),
-    (style.SKY, (0, (3, 1, 1, 1, 1, 1)), "P"),
+LOOKS: tuple[dict[str, Any], ...] = (  # told apart without colour too
+    {"color": style.BLUE, "linestyle": "-", "marker": "o"},
+    {"color": style.VERMILLION, "linestyle": (0, (5, 1.5)), "marker": "s"},
+    {"color": style.GREEN, "linestyle": (0, (1.5, 1.2)), "marker": "^"},
+    {"color": style.YELLOW, "linestyle": (0, (6, 1.5, 1.5, 1.5)), "marker": "v"},
+    {"color": style.SKY, "linestyle": (0, (3, 1, 1, 1, 1, 1)), "marker": "P"},
 )
 STRETCH = 300  # samples that can be read one by one
 
@@ -47,33 +47,30 @@ def box_figure(table: EvidenceTable, paper: Paper) -> Figure:
     ]
     figure = style.headed(ROW * len(rows) + 0.75, table.title, lines, loud(table))
     ax = style.quiet(figure.add_subplot(), x=style.label(f"test {table.merit.upper()}", table.unit))
-    ax.grid(False, axis="y")
-    ax.set_yticks(range(len(rows)), [style.plain(row.label) for row in rows], color=style.INK, fontsize=8.5)
-    ax.set_ylim(len(rows) - 0.4, -0.6)
-    published = {
-        k: row.published.mean for k, row in enumerate(rows) if row.published and row.published.mean is not None
-    }
-    shown = np.array([*(value for row in rows for value in row.finite(table.merit)), *published.values()])
+    style.rows(ax, [row.label for row in rows])
+    ax.tick_params(axis="y", labelcolor=style.INK, labelsize=8.5)
+    published = [(k, row.published.mean) for k, row in enumerate(rows) if row.published]
+    published = [(place, mean) for place, mean in published if mean is not None]
+    shown = np.array([*(value for row in rows for value in row.finite(table.merit)), *(mean for _, mean in published)])
     if len(shown) and shown.min() > 0 and shown.max() > FAR * shown.min():
         ax.set_xscale("log")
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         ax.xaxis.set_major_formatter("{x:g}")
         ax.xaxis.set_minor_formatter(NullFormatter())
     for place, row in enumerate(rows):
-        _draw_row(ax, place, row, COLOURS[_kind(row, paper)], table.merit)
-    for place, mean in published.items():
-        ax.plot(mean, place, linewidth=0, zorder=4, gid="published", **PUBLISHED)
-    physics = [row for row in table.measured if _kind(row, paper) == "physics"]
+        known = paper.models.get(row.variant.model)
+        _draw_row(ax, place, row, known.kind if known else "baseline", table.merit)
+    for place, mean in published:
+        look = {**PUBLISHED, "markeredgecolor": style.VERMILLION, "gid": "published", "label": "published mean"}
+        ax.plot(mean, place, linewidth=0, zorder=4, **look)
+    physics = [row for row in table.measured if row.variant.model == "physics_only"]
     if len(physics) == 1:
-        ax.axvline(physics[0].figures.mean, linewidth=1.1, zorder=1, gid="physics", **ALONE)
+        look = {"color": style.QUIET, "linestyle": style.DASHED, "gid": "physics", "label": "physics only"}
+        ax.axvline(physics[0].figures.mean, linewidth=1.1, zorder=1, **look)
     if not len(shown):
         ax.set_xticks([])
         style.note(ax, "no member finished")
-    kinds = {_kind(row, paper) for row in rows} - ({"physics"} if len(physics) == 1 else set())
-    handles: list[Artist] = [Patch(facecolor=COLOURS[k], alpha=0.45, label=KINDS[k]) for k in KINDS if k in kinds]
-    handles += [Line2D([], [], label="physics only", **ALONE)] if len(physics) == 1 else []
-    handles += [Line2D([], [], linewidth=0, label="published mean", **PUBLISHED)] if published else []
-    style.legend(figure, handles)
+    style.legend(figure)
     return figure
 
 
@@ -81,9 +78,8 @@ def loud(table: EvidenceTable) -> list[str]:
     """What nobody may overlook in a figure of this table."""
     failed = sum(len(row.failed) for row in table.rows)
     absent = sum(row.state in ("missing", "failed", "unfinished", "damaged") for row in table.rows)
-    simulated = any(row.run and row.run.metrics and row.run.metrics["source"] == "simulated" for row in table.rows)
     phrases = {
-        "SIMULATED DATA": simulated,
+        "SIMULATED DATA": any(row.simulated for row in table.rows),
         f"{failed} MEMBER{'S'[: failed - 1]} FAILED": failed,
         f"{absent} RUN{'S'[: absent - 1]} WITHOUT FIGURES": absent,
         f"BUDGET {table.budget}".upper(): table.budget,
@@ -91,13 +87,8 @@ def loud(table: EvidenceTable) -> list[str]:
     return [text for text, true in phrases.items() if true]
 
 
-def _kind(row: Row, paper: Paper) -> str:
-    known = paper.models.get(row.variant.model)
-    return known.kind if known else "baseline"
-
-
-def _draw_row(ax: Axes, place: int, row: Row, colour: str, merit: str) -> None:
-    values = row.finite(merit)
+def _draw_row(ax: Axes, place: int, row: Row, kind: str, merit: str) -> None:
+    values, (label, colour) = row.finite(merit), KINDS[kind]
     if len(values) > 1:
         line = {"color": style.INK, "linewidth": 0.9}
         looks: dict[str, Any] = {"whiskerprops": line, "capprops": line, "medianprops": line | {"linewidth": 1.7}}
@@ -105,8 +96,9 @@ def _draw_row(ax: Axes, place: int, row: Row, colour: str, merit: str) -> None:
         place_of = {"positions": [place], "widths": 0.56, "orientation": "horizontal", "manage_ticks": False}
         ax.boxplot(values, whis=(0, 100), patch_artist=True, **place_of, **looks)
     lift = 0.15 * np.sin(2.4 * np.arange(len(values))) if len(values) > 1 else np.zeros(len(values))
-    ax.plot(values, place + lift, "o", color=colour, markersize=3.6, alpha=0.8, markeredgewidth=0, zorder=3)
-    good = row.run is not None and row.run.metrics is not None and not row.failed
+    look: dict[str, Any] = {"markersize": 3.6, "alpha": 0.8, "markeredgewidth": 0, "zorder": 3}
+    ax.plot(values, place + lift, "o", color=colour, label=label, **look)
+    good = row.metrics is not None and not row.failed
     text = f"{len(row.finished)} of {row.planned}" if good else row.state
     if row.failed:
         text = f"{len(row.failed)} of {row.planned} failed: {who(row, row.failed[:4])}"
@@ -124,21 +116,15 @@ def efficiency_figure(table: EvidenceTable, paper: Paper) -> Figure:
     """Mean over members against the samples trained on, and where all of them lie."""
     lines = ["line: mean over finished members, band: from the least to the greatest of them, dots: members"]
     figure = style.headed(4.1, table.title, [*lines, f"published: {paper.source}"], loud(table))
-    axes = figure.subplots(1, 2)
-    for ax, merit, name, unit in ((axes[0], table.merit, table.merit.upper(), table.unit), (axes[1], "cc", "CC", "")):
-        style.quiet(ax, x=_amount(table, paper), y=style.label(f"test {name}", unit))
+    for ax, merit, unit in zip(figure.subplots(1, 2), (table.merit, "cc"), (table.unit, ""), strict=True):
+        style.quiet(ax, x=_amount(table, paper), y=style.label(f"test {merit.upper()}", unit))
         ax.set_xticks(table.sizes)
         for series, look in _looks(table).items():
             _draw_series(ax, [row for row in table.rows if row.series == series], merit, look)
         if not ax.lines:
             style.note(ax, "no member finished")
-    handles = [
-        style.key(style.plain(series), colour, linestyle=dash, marker=marker, markersize=5)
-        for series, (colour, dash, marker) in _looks(table).items()
-    ]
-    look = {**PUBLISHED, "markeredgecolor": style.INK}
-    published = Line2D([], [], linewidth=0, label="published mean, in the colour of its model", **look)
-    style.legend(figure, [*handles, published])
+    look = {**PUBLISHED, "markeredgecolor": style.INK, "label": "published mean, in the colour of its model"}
+    style.legend(figure, Line2D([], [], linewidth=0, **look))
     return figure
 
 
@@ -148,26 +134,26 @@ def _amount(table: EvidenceTable, paper: Paper) -> str:
     return "training samples" if known and known.n_train is not None else "n_train"
 
 
-def _looks(table: EvidenceTable) -> dict[str, tuple[Any, ...]]:
+def _looks(table: EvidenceTable) -> dict[str, dict[str, Any]]:
     series = dict.fromkeys(row.series for row in table.rows if row.state != "quoted")
     return {name: LOOKS[k % len(LOOKS)] for k, name in enumerate(series)}
 
 
-def _draw_series(ax: Axes, rows: Sequence[Row], merit: str, look: tuple[Any, ...]) -> None:
-    colour, dash, marker = look
+def _draw_series(ax: Axes, rows: Sequence[Row], merit: str, look: dict[str, Any]) -> None:
     points = []
     for row in rows:
         n, values = row.variant.n_train, row.finite(merit)
         if n is not None and len(values):
             points.append((n, values.mean(), values.min(), values.max()))
             if len(values) > 1:
-                ax.plot(np.full(len(values), n), values, ".", color=colour, alpha=0.35, markersize=5)
+                ax.plot(np.full(len(values), n), values, ".", color=look["color"], alpha=0.35, markersize=5)
         if n is not None and merit != "cc" and row.published and row.published.mean is not None:
-            ax.plot(n, row.published.mean, zorder=5, gid="published", **{**PUBLISHED, "markeredgecolor": colour})
+            mark = {**PUBLISHED, "markeredgecolor": look["color"], "gid": "published"}
+            ax.plot(n, row.published.mean, zorder=5, **mark)
     if points:
         n, mean, least, greatest = np.array(sorted(points)).T
-        ax.fill_between(n, least, greatest, color=colour, alpha=0.13, linewidth=0)
-        ax.plot(n, mean, color=colour, linestyle=dash, marker=marker, markersize=5, linewidth=1.6, gid="mean")
+        ax.fill_between(n, least, greatest, color=look["color"], alpha=0.13, linewidth=0)
+        ax.plot(n, mean, markersize=5, linewidth=1.6, gid="mean", label=style.plain(rows[0].series), **look)
 
 
 def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
@@ -176,7 +162,7 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
     The prediction of a model is the mean over its finished members. Runs whose predictions cannot be read, or belong to
     another test record, are named as left out.
     """
-    curves: list[tuple[str, np.ndarray, tuple[Any, ...]]] = []  # title, prediction [time], look
+    curves: list[tuple[str, np.ndarray, dict[str, Any]]] = []
     measured, metrics, left_out = np.zeros(0), None, []
     for row in table.rows:
         if row.variant.n_train != table.sizes[0]:
@@ -185,9 +171,9 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
         if found is None or (metrics is not None and not np.array_equal(found[0], measured, equal_nan=True)):
             left_out.append(row.series)
             continue
-        measured, metrics = found[0], row.run.metrics if row.run else None
-        title = f"{row.series}: {number(row.figures.ensemble, table.unit)}"
-        curves.append((title, found[1], _looks(table)[row.series]))
+        measured, metrics = found[0], row.metrics
+        look = {**_looks(table)[row.series], "marker": ""}
+        curves.append((f"{row.series}: {number(row.figures.ensemble, table.unit)}", found[1], look))
     what = f"beside its name the {table.merit.upper()} of the curve"
     lines = [f"free run over the test record; a curve is the mean prediction of the finished members, {what}"]
     lines += [f"left out, no prediction: {', '.join(left_out)}"] if left_out else []
@@ -206,26 +192,25 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
         (top, start, stop, 1.5, f"samples {start} to {stop - 1}"),
         (under, 0, time, 1.0, whole),
     ):
-        style.quiet(ax, title=title, y=style.label(output["name"], output.get("unit", "")), x="time (s)")
-        ax.plot(t[a:b], measured[a:b], color=style.TRUTH, linewidth=2 * wide, alpha=0.8)
-        for _, y_hat, (colour, dash, _) in curves:
-            ax.plot(t[a:b], y_hat[a:b], color=colour, linestyle=dash, linewidth=wide)
+        style.quiet(ax, title=title, y=style.label(output["name"], output.get("unit")), x="time (s)")
+        ax.plot(t[a:b], measured[a:b], color=style.TRUTH, linewidth=2 * wide, alpha=0.8, label="measured")
+        for name, y_hat, look in curves:
+            ax.plot(t[a:b], y_hat[a:b], linewidth=wide, label=style.plain(name), **look)
         limit(ax, measured[a:b], np.concatenate([y_hat[a:b] for _, y_hat, _ in curves]))
         ax.margins(x=0.01)
     under.axvspan(t[start], t[stop - 1], color=style.YELLOW, alpha=0.15, linewidth=0)
-    handles = [style.key(style.plain(name), c, linestyle=dash, linewidth=1.6) for name, _, (c, dash, _) in curves]
-    style.legend(figure, [style.key("measured", style.TRUTH, linewidth=3.0), *handles])
+    style.legend(figure)
     return figure
 
 
 def _prediction(row: Row) -> tuple[np.ndarray, np.ndarray] | None:
     """Measured and predicted first output of the first test sequence, `[time]`; None where there is no such file."""
-    if row.run is None or row.run.metrics is None or not row.finished:
+    if row.run is None or row.metrics is None or not row.finished:
         return None
     try:
         with np.load(row.run.path / "predictions.npz") as stored:
             arrays = {name: stored[name] for name in ("y", "mask", "y_hat", "ensemble_mean", "ensemble_std")}
         y = np.where(arrays["mask"], arrays["y"], np.nan)[0, :, 0].astype(np.float64)
-        return y, compared(arrays, row.run.metrics).mean[0, :, 0]
+        return y, compared(arrays, row.metrics).mean[0, :, 0]
     except Exception:  # a damaged archive fails in many ways; the figure names the run
         return None

@@ -22,7 +22,6 @@ def evidence_page(
 ) -> str:
     """The HTML of the page; raises `ValueError` where a picture is no PNG file."""
     rows = [row for table in tables for row in table.rows]
-    metrics = [row.run.metrics for row in rows if row.run and row.run.metrics]
     orders = [order_held(table, paper) for table in tables]
     commands = [(run.name, run.environment.get("command")) for run in runs]
     header = ("folder", "state", "members", "time", "commit", "reason")
@@ -31,8 +30,8 @@ def evidence_page(
         kind="Report of many runs",
         heading="Measured and published",
         facts=[f"published figures: {paper.source}; all errors are those of free runs over the test record"],
-        simulated=sum(found["source"] == "simulated" for found in metrics),
-        measured=len(metrics),
+        simulated=sum(row.simulated for row in rows),
+        measured=sum(row.metrics is not None for row in rows),
         capped=[table.title for table in tables if table.budget],
         counts={
             "ended": f"{sum(run.state == 'finished' for run in runs)} / {len(runs)}",

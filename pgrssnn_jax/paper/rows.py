@@ -13,7 +13,7 @@ from pgrssnn_jax.paper.collect import FoundRun
 from pgrssnn_jax.paper.merits import NOTHING, Figures, difference, figures_of
 from pgrssnn_jax.paper.published import Experiment, Paper, System, Value, Variant
 from pgrssnn_jax.reports import content
-from pgrssnn_jax.reports.content import MemberRow
+from pgrssnn_jax.reports.content import MemberRow, Metrics
 
 State = Literal["finished", "failed", "unfinished", "damaged", "missing", "quoted"]
 Name = tuple[str, str]  # size and series
@@ -29,26 +29,31 @@ class Row(NamedTuple):
     series: str
     variant: Variant
     state: State
-    reason: str
-    planned: int | None
-    finished: tuple[MemberRow, ...]
-    failed: tuple[MemberRow, ...]
-    figures: Figures
-    seconds: float
     published: Value | None
-    difference: float
-    why: str
-    run: FoundRun | None
+    reason: str = ""
+    planned: int | None = None
+    finished: tuple[MemberRow, ...] = ()
+    failed: tuple[MemberRow, ...] = ()
+    figures: Figures = NOTHING
+    seconds: float = math.nan
+    difference: float = math.nan
+    why: str = ""
+    run: FoundRun | None = None
 
     @property
     def label(self) -> str:
         return " · ".join(filter(None, (self.size, self.series)))
 
-    def values(self, merit: str) -> list[float]:
-        return [getattr(member, merit) for member in self.finished]
+    @property
+    def metrics(self) -> Metrics | None:
+        return self.run.metrics if self.run else None
+
+    @property
+    def simulated(self) -> bool:
+        return self.metrics is not None and content.simulated(self.metrics)
 
     def finite(self, merit: str) -> np.ndarray:
-        found = np.array(self.values(merit), float)
+        found = np.array([getattr(member, merit) for member in self.finished], float)
         return found[np.isfinite(found)]
 
 
@@ -128,18 +133,16 @@ def _rows(runs: Sequence[FoundRun], known: Experiment | None, system: System, pa
     name_of = _namer(variants, system, paper)
     rows: list[Row] = []
     for variant in variants:
-        place = (runs[0].system, variant)
-        mine = [run for run in runs if run.variant == variant]
-        rows += [_measured(run, name_of(run), system, place, paper) for run in mine]
-        if not mine:
-            rows.append(_empty(name_of(variant), variant, "missing", paper.values.get(place)))
+        published, mine = paper.values.get((runs[0].system, variant)), [run for run in runs if run.variant == variant]
+        rows += [_measured(run, Row(*name_of(run), variant, run.state, published), system, paper) for run in mine]
+        rows += [] if mine else [Row(*name_of(variant), variant, "missing", published)]
     return rows
 
 
 def _quoted(known: Experiment | None) -> list[Row]:
     """Figures of others, which no run here stands behind."""
     quoted, nowhere = known.quoted if known else {}, Variant("", "", None)
-    return [_empty(("", name), nowhere, "quoted", Value(mean, 0, 0, None)) for name, mean in quoted.items()]
+    return [Row("", name, nowhere, "quoted", Value(mean, 0, 0, None)) for name, mean in quoted.items()]
 
 
 def _unknown_system(runs: Iterable[FoundRun]) -> System:
@@ -178,13 +181,11 @@ def _namer(variants: Sequence[Variant], system: System, paper: Paper) -> Callabl
 
 def _told_apart(rows: Sequence[Row], differing: set[str]) -> list[Row]:
     """Rows with what their runs were asked for besides, and with their folder where that is not enough."""
-
-    def asked(row: Row) -> Row:
+    named = []
+    for row in rows:
         overrides = row.run.overrides if row.run else {}
         own = [f"{key}={value}" for key, value in overrides.items() if key in differing]
-        return row._replace(series=", ".join([row.series, *own]))
-
-    named = [asked(row) for row in rows]
+        named.append(row._replace(series=", ".join([row.series, *own])))
     for place in (lambda run: str(Path(run.name).parent), lambda run: Path(run.name).name):
         labels = [row.label for row in named]
         named = [
@@ -194,12 +195,7 @@ def _told_apart(rows: Sequence[Row], differing: set[str]) -> list[Row]:
     return named
 
 
-def _empty(name: Name, variant: Variant, state: State, published: Value | None) -> Row:
-    return Row(*name, variant, state, "", None, (), (), NOTHING, math.nan, published, math.nan, "", None)
-
-
-def _measured(run: FoundRun, name: Name, system: System, place: tuple[str, Variant], paper: Paper) -> Row:
-    row = _empty(name, run.variant, run.state, paper.values.get(place))
+def _measured(run: FoundRun, row: Row, system: System, paper: Paper) -> Row:
     row = row._replace(reason=run.reason, planned=run.planned, run=run)
     if run.metrics is None:
         return row
@@ -214,7 +210,7 @@ def _measured(run: FoundRun, name: Name, system: System, place: tuple[str, Varia
         figures=figures,
         seconds=math.nan if total is None else float(total),
         difference=away,
-        why=paper.reasons.get(place, "") if abs(away) > NOTABLE else "",
+        why=paper.reasons.get((run.system, run.variant), "") if abs(away) > NOTABLE else "",
     )
 
 

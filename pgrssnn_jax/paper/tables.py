@@ -48,7 +48,7 @@ def _cells(row: Row, table: EvidenceTable) -> list[str]:
         number(f.mean, std=f.std) if math.isfinite(f.mean) else mean,
         *map(number, [f.median, f.best, f.ensemble, *([f.cc] if table.sizes else [])]),
         MISSING if quoted else members,
-        MISSING if row.run is None or row.run.metrics is None else str(len(row.failed)),
+        MISSING if row.metrics is None else str(len(row.failed)),
         published(row.published),
         f"{row.difference:+.1f}" if math.isfinite(row.difference) else MISSING,
         duration(row.seconds),
@@ -79,7 +79,7 @@ def problems(table: EvidenceTable) -> list[str]:
             lines.append(f"{row.label}: {lost} of {row.planned} members without a result")
         if row.state == "finished" and row.reason:
             lines.append(f"{row.label}: {row.reason}")
-    simulated = [row.label for row in table.rows if _source(row) == "simulated"]
+    simulated = [row.label for row in table.rows if row.simulated]
     return lines + ([f"SIMULATED DATA, generated here: {', '.join(simulated)}"] if simulated else [])
 
 
@@ -114,15 +114,11 @@ def notes(table: EvidenceTable, paper: Paper) -> list[str]:
         lines.append(f"every run was capped by budget={table.budget}: the figures are no match for the published ones")
     if table.common:
         lines.append("all runs with " + " ".join(f"{key}={value}" for key, value in table.common.items()))
-    sources = dict.fromkeys(str(row.run.metrics.get("origin")) for row in table.measured if row.run and row.run.metrics)
+    sources = dict.fromkeys(str(row.metrics.get("origin")) for row in table.measured if row.metrics)
     lines += [f"data: {origin}" for origin in sources]
     timed = sum(math.isfinite(row.seconds) for row in table.rows)
     hours = f" ({table.seconds / 3600:.1f} h)" if table.seconds >= 3600 else ""
     return [*lines, f"cost: {duration(table.seconds)}{hours} in all, over {timed} runs that tell their time"]
-
-
-def _source(row: Row) -> str | None:
-    return row.run.metrics["source"] if row.run and row.run.metrics else None
 
 
 def terminal_table(table: EvidenceTable, paper: Paper) -> Table:
@@ -221,6 +217,6 @@ def _record(row: Row, table: EvidenceTable) -> dict[str, Any]:
         **{f"published{end}": found for end, found in paper.items()},
         "difference": row.difference,
         "seconds": row.seconds,
-        "source": _source(row),
+        "source": row.metrics["source"] if row.metrics else None,
         "folder": run.name if run else None,
     }

@@ -1,61 +1,32 @@
 """The figures of a discovery: where physics and measurement disagree, what is missing, and what it brought.
 
-Each function takes `discovery.json` and the arrays of `discovery.npz` (those that need them) and returns a
-`matplotlib.figure.Figure`; a missing piece becomes a sentence in its panel. `DISCOVERY_CAPTIONS` says what to look at.
+Each function takes `discovery.json` and the arrays of `discovery.npz` and returns a `matplotlib.figure.Figure`; a
+missing piece becomes a sentence in its panel. The captions of the page say what to look at.
 """
 
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, panels, style
 from pgrssnn_jax.reports import discovery_facts as facts
 from pgrssnn_jax.reports import discovery_panels as found
-from pgrssnn_jax.reports.discovery_facts import Discovery, real
+from pgrssnn_jax.reports.discovery_facts import STAGES, Discovery, real
 from pgrssnn_jax.reports.discovery_panels import COLOURS, Arrays
 
 NOT_CHOSEN = "#b9c3cd"
 SHOWN_BARS, SHOWN_SHIFTS = 24, 16
 
-DISCOVERY_CAPTIONS = {
-    "Simulation": "Free-run simulation of the test record, which had no part in the search, by the nominal physics"
-    " and by the physics with the missing effects. The strip below is what either leaves over.",
-    "Torques": "Motor torques of the test record, which had no part in the search: measured, and as the motion asks for"
-    " them by the nominal physics and by that with the missing effects. The strip below is what either leaves.",
-    "Joints": "The torque error of every joint over the standard deviation of its torque, while it moves and at rest."
-    " At rest friction holds a joint against any torque within its reach, so that no model says which one it is.",
-    "Disagreement": "What the physics leaves over on the training record, at each stage. Below it: how far the equation"
-    " that is most wrong would have to be corrected at every moment. Shaded: where most of the error arises.",
-    "Map": "The same correction against the state and the input. A missing effect shows as a patch of one colour: that"
-    " is where it acts. Cells visited fewer than 8 times are grey; a dot marks two standard errors from zero or more.",
-    "Candidates": "How much of the error energy each effect takes away in cross-validation, the last ones in their"
-    " fit. What stays left of the dashed line is no more than chance does when nothing is missing; the ticks at the"
-    " foot are its draws.",
-    "Shifts": "How far the numbers of the physics moved from where they began. Numbers that move far to make up for a"
-    " missing effect come back once it is there.",
-}
-
 
 def discovery_figures(discovery: Discovery, arrays: Arrays) -> dict[str, Figure]:
     """All figures by title, in the order of the page."""
+    where = {"Simulation": simulation_figure, "Disagreement": disagreement_figure, "Map": map_figure}
     if facts.by_torques(discovery):
-        return {
-            "Torques": simulation_figure(discovery, arrays),
-            "Joints": joints_figure(discovery),
-            "Candidates": candidates_figure(discovery, arrays),
-            "Shifts": shifts_figure(discovery),
-        }
-    return {
-        "Simulation": simulation_figure(discovery, arrays),
-        "Disagreement": disagreement_figure(discovery, arrays),
-        "Map": map_figure(discovery, arrays),
-        "Candidates": candidates_figure(discovery, arrays),
-        "Shifts": shifts_figure(discovery),
-    }
+        where = {"Torques": simulation_figure, "Joints": joints_figure}
+    made = {**where, "Candidates": candidates_figure, "Shifts": shifts_figure}
+    return {title: make(discovery, arrays) for title, make in made.items()}
 
 
 def simulation_figure(discovery: Discovery, arrays: Arrays) -> Figure:
@@ -63,18 +34,14 @@ def simulation_figure(discovery: Discovery, arrays: Arrays) -> Figure:
 
     Of more than 1500 samples a window of 300 is shown, around the largest residual of the nominal physics.
     """
-    stages = ("before", "after")
-    signals, sequences = found.record(discovery, arrays, "test", stages)
+    signals, sequences = found.record(discovery, arrays, "test", ("before", "after"))
     if signals is None:
         return _empty(discovery, "test")
-    start, stop = found.window(signals)
-    shown, n_y = signals.cut(start, stop), len(signals.outputs)
-    body = -(-n_y // min(n_y, 2)) * (4.6 if n_y == 1 else 3.4)
-    figure = _page(discovery, body, f"test record, {panels.extent(start, stop, len(signals.time), sequences)}")
-    for k, (top, under) in enumerate(panels.pair_axes(figure, n_y, [3.0, 1.3])):
-        panels.draw_signal(top, shown, k)
-        panels.draw_residuals(under, shown, k)
-    style.legend(figure, [style.key("measured", style.TRUTH, linewidth=2.8), *_stages(*stages)])
+    shown, n_y = found.window(signals), len(signals.outputs)
+    body = panels.rows_of(n_y) * (4.6 if n_y == 1 else 3.4)
+    figure = _page(discovery, body, f"test record, {panels.extent(*shown, len(signals.time), sequences)}")
+    panels.draw_pairs(figure, signals, shown, [3.0, 1.3])
+    style.legend(figure)
     return figure
 
 
@@ -84,8 +51,7 @@ def disagreement_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     if signals is None:
         return _empty(discovery, "training")
     n_y, time = len(signals.outputs), len(signals.time)
-    columns = min(n_y, 2)
-    rows = -(-n_y // columns)
+    columns, rows = min(n_y, 2), panels.rows_of(n_y)
     extent = f"training record, {panels.extent(0, time, time, sequences)}"
     figure = _page(discovery, rows * (2.5 if columns == 1 else 1.9) + 2.4, extent)
     grid = figure.add_gridspec(rows + 1, columns, height_ratios=[1.0] * rows + [1.0 if columns == 1 else 1.3])
@@ -95,9 +61,7 @@ def disagreement_figure(discovery: Discovery, arrays: Arrays) -> Figure:
         panels.draw_residuals(ax, signals, k, x="" if columns == 1 else "time (s)")
         if n_y > 1:
             ax.set_title(style.plain(str(output["name"])), loc="left", fontsize=9, color=style.INK, pad=5)
-        found.shade(ax, intervals)
     ax = figure.add_subplot(grid[rows, :])
-    handles: list[Artist] = [*_stages(*COLOURS)]
     if state is None:
         style.quiet(ax, x="time (s)", y="correction (unit/s)")
         style.note(ax, "no correction could be estimated from these data", blank=True)
@@ -105,11 +69,9 @@ def disagreement_figure(discovery: Discovery, arrays: Arrays) -> Figure:
         correction = arrays["correction"]
         mean, std = (a[state, 0] for a in (correction, arrays.get("correction_std", np.nan * correction)))
         found.draw_correction(ax, signals.time[: len(mean)], mean, std, discovery["states"][state])
-        handles.append(style.key("correction ± 2 std", style.GREEN, linewidth=1.6))
-    found.shade(ax, intervals)
-    if intervals:
-        handles.append(Patch(facecolor=style.YELLOW, alpha=0.3, label="where most of the error arises"))
-    style.legend(figure, handles)
+    for ax in figure.axes:
+        found.shade(ax, intervals)
+    style.legend(figure)
     return figure
 
 
@@ -120,30 +82,24 @@ def map_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     left, right = figure.subplots(1, 2)
     if arrays.get("map_mean") is None or not np.size(arrays["map_mean"]):
         for ax in (left, right):
-            style.quiet(ax, x="state", y="input")
-            style.note(ax, "no map could be made from these data", blank=True)
+            style.note(style.quiet(ax, x="state", y="input"), "no map could be made from these data", blank=True)
         return figure
-    units = found.units(discovery)
+    signals = [signal for kind in ("inputs", "outputs", "states") for signal in discovery.get(kind) or ()]
+    units = {str(signal["name"]): str(signal.get("unit") or "") for signal in signals}
     x, y = (style.label(n, units[n]) if n in units else style.plain(n) for n in names[1:])
     unit = found.rate(units.get(names[0], ""))
     for ax, name, title in ((left, "map_mean", "correction"), (right, "map_std_error", "standard error")):
         values = np.asarray(arrays[name], np.float64)
-        look = {"diverging": ax is left, "labels": (x, y), "title": title}
-        bar = figure.colorbar(found.draw_map(ax, arrays, values, **look), ax=ax, pad=0.02)
+        mesh = found.draw_map(ax, arrays, values, diverging=ax is left, labels=(x, y), title=title)
+        bar = figure.colorbar(mesh, ax=ax, pad=0.02)
         bar.set_label(style.label(title, unit), fontsize=8.5, color=style.INK)
-        bar.ax.tick_params(colors="#b4bac2", labelcolor=style.QUIET, labelsize=8, length=3)
+        bar.ax.tick_params(colors=style.FAINT, labelcolor=style.QUIET, labelsize=8, length=3)
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     found.draw_certain(left, arrays)
     for row in discovery.get("disagreement") or ():
         if row.get("equation") == names[0]:
             found.draw_region(left, arrays, row.get("region") or {})
-    handles: list[Artist] = [
-        Patch(facecolor=found.UNVISITED, label=f"fewer than {found.FEWEST_VISITS} visits"),
-        style.dots("2 standard errors or more from 0", style.INK, markersize=3),
-    ]
-    if any(patch.get_gid() == "region" for patch in left.patches):
-        handles.append(Patch(facecolor="none", edgecolor=style.INK, linewidth=1.6, label="region of disagreement"))
-    style.legend(figure, handles)
+    style.legend(figure, Patch(facecolor=found.UNVISITED, label=f"fewer than {found.FEWEST_VISITS} visits"))
     return figure
 
 
@@ -152,31 +108,25 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     ranked = [row for row in discovery.get("ranking") or () if np.isfinite(real(row.get("gain")))]
     ranked = sorted(ranked, key=lambda row: row["gain"], reverse=True)
     shown = [row for k, row in enumerate(ranked) if k < SHOWN_BARS or row.get("chosen")]
-    names, gains = [style.plain(str(row["name"])) for row in shown], [100 * real(row["gain"]) for row in shown]
-    null = discovery.get("null") or {}
+    null, gains = discovery.get("null") or {}, [100 * real(row["gain"]) for row in shown]
     threshold, draws = 100 * real(null.get("threshold")), 100 * np.ravel(arrays.get("null_law", np.array([])))
     draws = draws[np.isfinite(draws)]
     left_out = f", {len(ranked) - len(shown)} weaker ones left out" if len(ranked) > len(shown) else ""
     figure = _page(discovery, max(1.6, 0.24 * (len(shown) + 1) + 0.7), f"{len(shown)} candidates{left_out}")
     ax = style.quiet(figure.add_subplot(), x="error energy taken away in cross-validation (%)")
-    ax.grid(False, axis="y")
-    names += ["nothing missing"] if len(draws) else []
-    ax.set_yticks(range(len(names)), names)
-    ax.set_ylim(len(names) - 0.4, -0.6)
+    style.rows(ax, [str(row["name"]) for row in shown] + ["nothing missing"] * bool(len(draws)))
     behind = {"boxstyle": "square,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    beside: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 8}
     for k, (row, gain) in enumerate(zip(shown, gains, strict=True)):
         chosen, p = bool(row.get("chosen")), row.get("p_value")
-        colour = style.BLUE if chosen else NOT_CHOSEN
+        colour, ink = (style.BLUE, style.INK) if chosen else (NOT_CHOSEN, style.QUIET)
         ax.barh(k, gain, height=0.68, color=colour, gid="chosen" if chosen else "candidate")
         text = f"{gain:.1f} %".replace("-", "−") + (f" · p = {p:.2g}" if p is not None else "")
-        beside = {"xytext": (5, 0), "textcoords": "offset points", "va": "center", "fontsize": 8, "bbox": behind}
-        ax.annotate(text, (max(gain, 0.0), k), color=style.INK if chosen else style.QUIET, zorder=3, **beside)
-    handles: list[Artist] = [Patch(color=style.BLUE, label="chosen"), Patch(color=NOT_CHOSEN, label="not chosen")]
-    red: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.4}
+        ax.annotate(text, (max(gain, 0.0), k), color=ink, zorder=3, bbox=behind, **beside)
     if np.isfinite(threshold):
-        ax.axvline(threshold, gid="threshold", color=style.VERMILLION, **red)
         origin = f" of {null['draws']} draws with nothing missing" if null.get("draws") else ""
-        handles.append(style.key(f"threshold{origin}: {threshold:.1f} %", style.VERMILLION, **red))
+        look: dict[str, Any] = {"color": style.VERMILLION, "linestyle": style.DASHED, "linewidth": 1.4}
+        ax.axvline(threshold, gid="threshold", label=f"threshold{origin}: {threshold:.1f} %", **look)
     ax.axvline(0.0, color=style.INK, linewidth=0.8)
     look = {"color": style.VERMILLION, "markersize": 7, "alpha": 0.35, "gid": "null"}
     ax.plot(draws, np.full(len(draws), len(shown)), "|", **look)
@@ -184,30 +134,30 @@ def candidates_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     ax.set_xlim(max(min([0.0, *gains]), -best / 4) * 1.05, 1.16 * best)
     if not shown:
         style.note(ax, "no candidate effect was tried", blank=True)
-    style.legend(figure, handles)
+    style.legend(figure, Patch(color=style.BLUE, label="chosen"), Patch(color=NOT_CHOSEN, label="not chosen"))
     return figure
 
 
-def joints_figure(discovery: Discovery) -> Figure:
+def joints_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     """Torque errors by joint, moving and at rest, at every stage."""
+    del arrays
     rows = discovery.get("joints") or ()
     figure = _page(discovery, max(1.8, 0.5 * len(rows) + 0.7), f"test record, {len(rows)} joints")
     axes = figure.subplots(1, 2, sharey=True)
     for ax, regime, words in zip(axes, ("moving", "at_rest"), ("while it moves", "at rest"), strict=True):
         style.quiet(ax, x=f"torque error {words} / std of the torque")
-        ax.grid(False, axis="y")
-        for k, stage in enumerate(COLOURS):
-            values = [real((row.get(regime) or {}).get(stage)) for row in rows]
+        style.rows(ax, [f"joint {row['joint']}" for row in rows])
+        for k, (stage, colour) in enumerate(COLOURS.items()):
+            values = np.nan_to_num([real((row.get(regime) or {}).get(stage)) for row in rows])
             places = np.arange(len(rows)) + 0.26 * (k - 1)
-            ax.barh(places, np.nan_to_num(values), height=0.24, color=COLOURS[stage], gid=stage)
-        ax.set_yticks(range(len(rows)), [f"joint {row['joint']}" for row in rows])
-        ax.set_ylim(len(rows) - 0.4, -0.6)
-    style.legend(figure, [Patch(color=COLOURS[stage], label=facts.STAGES[stage]) for stage in COLOURS])
+            ax.barh(places, values, height=0.24, color=colour, gid=stage, label=STAGES[stage])
+    style.legend(figure)
     return figure
 
 
-def shifts_figure(discovery: Discovery) -> Figure:
+def shifts_figure(discovery: Discovery, arrays: Arrays) -> Figure:
     """Relative shift of every number of the physics, refitted on its own and with the missing effects, and its std."""
+    del arrays
     rows = facts.shifts(discovery)
     movable = [row for row in rows if np.isfinite(row.size)]
     shown = movable[:SHOWN_SHIFTS]
@@ -215,35 +165,31 @@ def shifts_figure(discovery: Discovery) -> Figure:
     line += ", those that began at zero or are new only in the table" if len(rows) > len(movable) else ""
     figure = _page(discovery, max(1.6, 0.34 * len(shown) + 0.7), line)
     ax = style.quiet(figure.add_subplot(), x="shift from the nominal value (%)")
-    ax.set_yticks(range(len(shown)), [style.plain(row.name) for row in shown])
-    ax.set_ylim(len(shown) - 0.4, -0.6)
+    style.rows(ax, [row.name for row in shown])
+    ax.grid(True, axis="y")
     ax.axvline(0.0, color=style.INK, linewidth=0.8)
     reach = 100 * max((row.size for row in shown), default=0.0)
+    words = {"recalibrated": "refitted on its own", "after": "with the missing effects"}
     ends = [0.0]
     for k, row in enumerate(shown):
         stages = (("recalibrated", row.recalibrated, row.recalibrated_std), ("after", row.final, row.final_std))
         for (stage, value, std), aside in zip(stages, (-0.14, 0.14), strict=True):
             shift, error = 100 * row.relative(value), float(np.nan_to_num(100 * std / abs(row.before)))
             if np.isfinite(shift):
-                look = {"color": COLOURS[stage], "markersize": 5, "elinewidth": 1.3, "capsize": 2.5, "gid": stage}
-                ax.errorbar(shift, k + aside, xerr=error or None, fmt="o", **look)
+                look: dict[str, Any] = {"color": COLOURS[stage], "markersize": 5, "elinewidth": 1.3, "capsize": 2.5}
+                ax.errorbar(shift, k + aside, xerr=error or None, fmt="o", gid=stage, label=words[stage], **look)
                 ends += [shift - min(error, reach), shift + min(error, reach)]
     room = 0.04 * (max(ends) - min(ends)) or 1.0
     ax.set_xlim(min(ends) - room, max(ends) + room)
     if not shown:
         style.note(ax, "no number of the physics was refitted", blank=True)
-    words = {"recalibrated": "refitted on its own", "after": "with the missing effects"}
-    style.legend(figure, [style.dots(text, COLOURS[stage]) for stage, text in words.items()])
+    style.legend(figure)
     return figure
 
 
 def _page(discovery: Discovery, body: float, line: str) -> Figure:
     metrics = facts.as_metrics(discovery)
     return style.page(body, metrics, [facts.gap_line(discovery), f"{line} · {content.source(metrics)}"])
-
-
-def _stages(*stages: str) -> list[Line2D]:
-    return [style.key(f"{stage}: {facts.STAGES[stage]}", COLOURS[stage], linewidth=1.6) for stage in stages]
 
 
 def _empty(discovery: Discovery, part: str) -> Figure:

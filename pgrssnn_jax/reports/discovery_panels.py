@@ -12,7 +12,7 @@ from matplotlib.patches import Rectangle
 
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import Number
-from pgrssnn_jax.reports.discovery_facts import Discovery
+from pgrssnn_jax.reports.discovery_facts import STAGES, Discovery
 from pgrssnn_jax.reports.panels import READABLE, WINDOW, Curve, Signals, finite
 
 COLOURS = {"before": style.VERMILLION, "recalibrated": style.YELLOW, "after": style.BLUE}
@@ -29,8 +29,10 @@ def record(discovery: Discovery, arrays: Arrays, part: str, stages: Iterable[str
     if not y.size:
         return None, 0
     nothing = np.full(y.shape, np.nan)
-    simulated = {stage: finite(arrays.get(f"y_{stage}_{part}", nothing)[0]) for stage in stages}
-    curves = [Curve(stage, values, COLOURS[stage], COLOURS[stage]) for stage, values in simulated.items()]
+    curves = [
+        Curve(f"{s}: {STAGES[s]}", s, finite(arrays.get(f"y_{s}_{part}", nothing)[0]), COLOURS[s], COLOURS[s])
+        for s in stages
+    ]
     measured = finite(np.where(arrays.get(f"mask_{part}", True), y, np.nan))[0]
     time = np.asarray(arrays[f"time_{part}"], np.float64)
     return Signals(discovery.get("outputs") or (), time, measured, curves, nothing[:0], nothing[0]), len(y)
@@ -65,17 +67,13 @@ def rate(unit: str) -> str:
     return f"{unit}²" if unit.endswith("/s") else f"{unit or '1'}/s"
 
 
-def units(discovery: Discovery) -> dict[str, str]:
-    signals = [signal for kind in ("inputs", "outputs", "states") for signal in discovery.get(kind) or ()]
-    return {str(signal["name"]): str(signal.get("unit") or "") for signal in signals}
-
-
 def shade(ax: Axes, intervals: Sequence[Sequence[Number]]) -> None:
     """Spans of time behind the data."""
     spans = [(start, stop - start) for start, stop in intervals]
     if spans:
-        look = {"facecolor": style.YELLOW, "alpha": 0.22, "linewidth": 0, "zorder": 0.6}
-        ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), gid="interval", **look)
+        look: dict[str, Any] = {"facecolor": style.YELLOW, "alpha": 0.22, "linewidth": 0, "zorder": 0.6}
+        look |= {"label": "where most of the error arises", "gid": "interval"}
+        ax.broken_barh(spans, (0.0, 1.0), transform=ax.get_xaxis_transform(), **look)
 
 
 def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, state: Mapping[str, Any]) -> None:
@@ -85,7 +83,8 @@ def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, 
     style.quiet(ax, title=style.plain(title), x="time (s)", y=label)
     band = 2 * np.where(np.isfinite(std), std, 0.0)
     ax.fill_between(t, mean - band, mean + band, color=style.GREEN, alpha=0.22, linewidth=0)
-    ax.plot(t, mean, color=style.GREEN, linewidth=1.3, marker="." if len(t) <= 60 else "", gid="correction")
+    look: dict[str, Any] = {"color": style.GREEN, "linewidth": 1.3, "gid": "correction", "label": "correction ± 2 std"}
+    ax.plot(t, mean, marker="." if len(t) <= 60 else "", **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
     finite = np.isfinite(mean)
     reach = float(np.median(band[finite]))
@@ -99,8 +98,7 @@ def draw_map(
     ax: Axes, arrays: Arrays, values: np.ndarray, *, diverging: bool, labels: tuple[str, str], title: str
 ) -> QuadMesh:
     """One value per cell of two signals; grey where the data came too seldom. Zero is amid diverging colours."""
-    style.quiet(ax, title=title, x=labels[0], y=labels[1])
-    ax.grid(False)
+    style.quiet(ax, title=title, x=labels[0], y=labels[1]).grid(False)
     hidden = np.ma.masked_invalid(np.where(seen(arrays), values, np.nan))
     shown = np.abs(hidden.compressed())
     top = float(np.percentile(shown, 98 if len(shown) > 50 else 100)) if len(shown) else 1.0
@@ -123,8 +121,8 @@ def draw_certain(ax: Axes, arrays: Arrays) -> None:
     mean, error = np.asarray(arrays["map_mean"], np.float64), np.asarray(arrays["map_std_error"], np.float64)
     a, b = np.nonzero(seen(arrays) & (np.abs(mean) > 2 * np.where(np.isfinite(error), error, np.inf)))
     middle = [(e[:-1] + e[1:]) / 2 for e in (arrays["map_x_edges"], arrays["map_u_edges"])]
-    look = {"color": style.INK, "markersize": 3, "markeredgecolor": "white", "markeredgewidth": 0.5, "gid": "certain"}
-    ax.plot(middle[0][a], middle[1][b], "o", **look)
+    look: dict[str, Any] = {"color": style.INK, "markersize": 3, "markeredgecolor": "white", "markeredgewidth": 0.5}
+    ax.plot(middle[0][a], middle[1][b], "o", label="2 standard errors or more from 0", gid="certain", **look)
 
 
 def draw_region(ax: Axes, arrays: Arrays, region: Mapping[str, Sequence[Number | None]]) -> None:
@@ -138,6 +136,5 @@ def draw_region(ax: Axes, arrays: Arrays, region: Mapping[str, Sequence[Number |
         bounds = np.array(region.get(name) or (None, None), float)
         spans.append(np.where(np.isfinite(bounds), np.clip(bounds, *ends), ends))
     (left, right), (bottom, top) = spans
-    box = Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=style.INK, linewidth=1.8)
-    box.set(gid="region", clip_on=False, zorder=4)
-    ax.add_patch(box)
+    look: dict[str, Any] = {"fill": False, "edgecolor": style.INK, "linewidth": 1.8, "label": "region of disagreement"}
+    ax.add_patch(Rectangle((left, bottom), right - left, top - bottom, gid="region", clip_on=False, zorder=4, **look))

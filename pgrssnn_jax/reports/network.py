@@ -34,24 +34,19 @@ def network_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> F
     for row, k in enumerate(order):
         output = metrics["outputs"][k]
         ax = figure.add_subplot(grid[row, :])
-        style.quiet(ax, x="time (s)", y=style.label(f"added to {output['name']}", str(output.get("unit") or "")))
-        ax.plot(time, left[0, :stop, k], color=style.TRUTH, linewidth=2.4)
-        ax.plot(time, added[0, :stop, k], color=style.BLUE, linewidth=1.3)
+        style.quiet(ax, x="time (s)", y=style.label(f"added to {output['name']}", output.get("unit")))
+        ax.plot(time, left[0, :stop, k], color=style.TRUTH, linewidth=2.4, label="measured − physics alone")
+        label = "added by the networks, mean over members"
+        ax.plot(time, added[0, :stop, k], color=style.BLUE, linewidth=1.3, label=label)
         ax.axhline(0.0, color=style.INK, linewidth=0.8)
         ax.margins(x=0.01)
-    unit = str(metrics["outputs"][order[0]].get("unit") or "")
+    unit = metrics["outputs"][order[0]].get("unit")
     for column, (label, centres, rms) in enumerate(signals):
         ax = figure.add_subplot(grid[-1, column])
         style.quiet(ax, x=label, y=style.label("RMS added", unit) if column == 0 else "")
         ax.plot(centres, rms, color=style.BLUE, marker="o", markersize=3.5, linewidth=1.2)
         ax.set_ylim(bottom=0.0)
-    style.legend(
-        figure,
-        [
-            style.key("measured − physics alone", style.TRUTH, linewidth=2.4),
-            style.key("added by the networks, mean over members", style.BLUE, linewidth=1.3),
-        ],
-    )
+    style.legend(figure)
     return figure
 
 

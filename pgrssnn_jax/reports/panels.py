@@ -13,9 +13,10 @@ READABLE, WINDOW = 1500, 300  # samples that one panel can show, and of a longer
 
 
 class Curve(NamedTuple):
-    """A prediction `[time, y]`, with the colours of its line and of what it leaves over."""
+    """A prediction `[time, y]`; name: in the legend; gid: of its artists; left_over: colour of its residual."""
 
     name: str
+    gid: str
     values: np.ndarray
     colour: str
     left_over: str
@@ -23,7 +24,7 @@ class Curve(NamedTuple):
 
 class Signals(NamedTuple):
     """One sequence: time `[time]` (s), measured `[time, y]`, NaN where nothing was; outputs: `name` and `unit` of each;
-    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve."""
+    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve, and its name."""
 
     outputs: Sequence[Mapping[str, Any]]
     time: np.ndarray
@@ -31,14 +32,20 @@ class Signals(NamedTuple):
     curves: Sequence[Curve]
     members: np.ndarray
     half_width: np.ndarray
+    band: str = ""
 
     def cut(self, start: int, stop: int) -> "Signals":
-        curves = [curve._replace(values=curve.values[start:stop]) for curve in self.curves]
-        members, half = self.members[:, start:stop], self.half_width[start:stop]
-        return Signals(self.outputs, self.time[start:stop], self.measured[start:stop], curves, members, half)
+        part = slice(start, stop)
+        curves = [curve._replace(values=curve.values[part]) for curve in self.curves]
+        cut = self._replace(time=self.time[part], measured=self.measured[part], curves=curves)
+        return cut._replace(members=self.members[:, part], half_width=self.half_width[part])
 
     def label(self, k: int, name: str = "") -> str:
-        return style.label(name or str(self.outputs[k]["name"]), str(self.outputs[k].get("unit") or ""))
+        return style.label(name or str(self.outputs[k]["name"]), self.outputs[k].get("unit"))
+
+    def left(self, k: int, curve: int) -> np.ndarray:
+        """Measured minus predicted, `[time]`."""
+        return self.measured[:, k] - self.curves[curve].values[:, k]
 
     @property
     def marker(self) -> str:
@@ -51,10 +58,16 @@ def finite(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def pair_axes(figure: Figure, count: int, ratios: Sequence[float]) -> list[list[Axes]]:
-    """For each of `count` outputs its panels, one below the other; the first two share their time."""
-    columns = min(count, 2)
-    rows = -(-count // columns)
+def rows_of(count: int) -> int:
+    """The rows of panels of so many outputs, two beside each other."""
+    return -(-count // 2)
+
+
+def draw_pairs(figure: Figure, signals: Signals, shown: tuple[int, int], ratios: Sequence[float]) -> list[list[Axes]]:
+    """For each output its panels, one below the other: measured and predicted, what is left over, and as many empty
+    ones as there are further `ratios`. The first two share their time."""
+    count, cut = len(signals.outputs), signals.cut(*shown)
+    columns, rows = min(count, 2), rows_of(count)
     # Every other row and column of the grid is room between the outputs.
     apart = {"width_ratios": [1.0, 0.012] * (columns - 1) + [1.0], "height_ratios": [1.0, 0.03] * (rows - 1) + [1.0]}
     grid = figure.add_gridspec(2 * rows - 1, 2 * columns - 1, **apart)
@@ -64,6 +77,8 @@ def pair_axes(figure: Figure, count: int, ratios: Sequence[float]) -> list[list[
         top = figure.add_subplot(inner[0])
         under = figure.add_subplot(inner[1], sharex=top)
         found.append([top, under, *(figure.add_subplot(inner[row]) for row in range(2, len(ratios)))])
+        draw_signal(top, cut, k)
+        draw_residuals(under, cut, k)
     for column in range(columns):
         figure.align_ylabels([ax for axes in found[column::columns] for ax in axes[:2]])
     return found
@@ -80,14 +95,15 @@ def extent(start: int, stop: int, time: int, sequences: int) -> str:
 def draw_signal(ax: Axes, signals: Signals, k: int) -> None:
     """Output `k` as measured, below the predicted ones; of one that runs away only the near part shows."""
     style.quiet(ax, y=signals.label(k)).tick_params(labelbottom=False)
-    t, measured, members = signals.time, signals.measured[:, k], signals.members[..., k]
-    band = _draw_members(ax, signals, k, np.zeros(len(t)), 1.0)
-    look = {"color": style.TRUTH, "linewidth": 2.6, "marker": signals.marker, "markersize": 9, "gid": "measured"}
-    ax.plot(t, measured, zorder=1.9, **look)
+    measured = signals.measured[:, k]
+    band = _draw_members(ax, signals, k, np.zeros(len(signals.time)), 1.0)
+    look: dict[str, Any] = {"linewidth": 2.6, "marker": signals.marker, "markersize": 9, "zorder": 1.9}
+    ax.plot(signals.time, measured, color=style.TRUTH, label="measured", gid="measured", **look)
     for curve in signals.curves:
-        look = {"color": curve.colour, "linewidth": 1.3, "marker": signals.marker, "gid": curve.name}
-        ax.plot(t, curve.values[:, k], zorder=2.6, **look)
-    limit(ax, measured, np.concatenate([members.ravel(), *band, *(c.values[:, k] for c in signals.curves)]))
+        look = {"color": curve.colour, "linewidth": 1.3, "marker": signals.marker, "gid": curve.gid, "zorder": 2.6}
+        ax.plot(signals.time, curve.values[:, k], label=curve.name, **look)
+    curves = [curve.values[:, k] for curve in signals.curves]
+    limit(ax, measured, np.concatenate([signals.members[..., k].ravel(), *band, *curves]))
     ax.margins(x=0.01)
 
 
@@ -97,11 +113,12 @@ def draw_residuals(ax: Axes, signals: Signals, k: int, *, x: str = "time (s)") -
     measured = signals.measured[:, k]
     _draw_members(ax, signals, k, measured, -1.0)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    left = [(curve, measured - curve.values[:, k]) for curve in signals.curves]
+    left = [(curve, signals.left(k, i)) for i, curve in enumerate(signals.curves)]
     left = [(curve, residual) for curve, residual in left if np.isfinite(residual).any()]
     for curve, residual in left:
-        look = {"color": curve.left_over, "linewidth": 1.0, "marker": signals.marker, "gid": curve.name}
-        ax.plot(signals.time, residual, **look)
+        name = curve.name if curve.left_over == curve.colour else f"residual: measured − {curve.name}"
+        look = {"color": curve.left_over, "linewidth": 1.0, "marker": signals.marker, "gid": curve.gid}
+        ax.plot(signals.time, residual, label=name, **look)
     ax.margins(x=0.01)
     if not left:
         ax.set_yticks([])
@@ -116,23 +133,12 @@ def _draw_members(ax: Axes, signals: Signals, k: int, base: np.ndarray, sign: fl
     members, half = signals.members[..., k], signals.half_width[:, k]
     if not len(members):
         return []
-    faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(members), 0.06, 0.45))}
-    ax.plot(signals.time, sign * (members - base).T, **faint)
     middle = sign * (signals.curves[0].values[:, k] - base)
-    ax.fill_between(signals.time, middle - half, middle + half, color=style.SKY, alpha=0.30, linewidth=0)
+    look = {"color": style.SKY, "alpha": 0.30, "linewidth": 0}
+    ax.fill_between(signals.time, middle - half, middle + half, label=signals.band, **look)
+    faint = {"color": style.BLUE, "linewidth": 0.5, "alpha": float(np.clip(2.2 / len(members), 0.06, 0.45))}
+    ax.plot(signals.time, sign * (members - base).T, label="members", **faint)
     return [middle - half, middle + half]
-
-
-def draw_overview(ax: Axes, signals: Signals, k: int, stop: int) -> None:
-    """The residual of the first curve over the whole sequence; the first `stop` samples are those of the window."""
-    style.quiet(ax, x="time (s)", y=signals.label(k, "residual"))
-    title = "residual of the whole sequence; shaded: the window above"
-    ax.set_title(title, loc="left", fontsize=8, color=style.QUIET, pad=3)
-    look = {"color": style.VERMILLION, "alpha": 0.75, "linewidth": 0.5}
-    ax.plot(signals.time, (signals.measured - signals.curves[0].values)[:, k], **look)
-    ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    ax.axvspan(signals.time[0], signals.time[stop], color=style.YELLOW, alpha=0.30, linewidth=0)
-    ax.margins(x=0.01)
 
 
 def limit(ax: Axes, reference: np.ndarray, others: np.ndarray) -> None:

@@ -7,9 +7,8 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from pgrssnn_jax.reports import content, panels, style
 from pgrssnn_jax.reports.content import Metrics, number
@@ -30,41 +29,48 @@ class Compared(NamedTuple):
 
 def prediction_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Figure:
     """One pair of panels per output: the whole sequence up to 1500 samples, the first 300 samples of a longer one."""
-    found, outputs, dt = compared(predictions, metrics), metrics["outputs"], metrics["dt"]
+    found, dt, n_init = compared(predictions, metrics), metrics["dt"], metrics["n_init"]
     best, unit = content.headline(metrics), content.unit(metrics)
-    spread = content.number(best.mean, unit, std=best.std)
-    result = f"{content.merit(metrics)}: ensemble {number(best.ensemble, unit)} · members {spread} (mean ± std)"
-    result += f" · {content.counts(metrics)} · n_init {metrics['n_init']}"
     measured = panels.finite(np.where(predictions["mask"], predictions["y"], np.nan))
     n_seq, time, n_y = measured.shape
     stop = time if time <= panels.READABLE else panels.WINDOW
     ratios = [3.0, 1.3] if stop == time else [3.0, 1.3, 1.3]
-    body = -(-n_y // min(n_y, 2)) * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
+    spread = number(best.mean, unit, std=best.std)
+    result = f"{content.merit(metrics)}: ensemble {number(best.ensemble, unit)} · members {spread} (mean ± std)"
     extent = f"{found.remark}{panels.extent(0, stop, time, n_seq)} · {content.source(metrics)}"
-    figure = style.page(body, metrics, [result, extent])
+    body = panels.rows_of(n_y) * (sum(ratios) * (1.05 if n_y == 1 else 0.78) + 0.5)
+    figure = style.page(body, metrics, [f"{result} · {content.counts(metrics)} · n_init {n_init}", extent])
     members, mean, half_width = (panels.finite(array[..., 0, :, :]) for array in found[:3])
-    curve = panels.Curve(found.label, mean, style.BLUE, style.VERMILLION)
-    signals = panels.Signals(outputs, dt * np.arange(time), measured[0], [curve], members, half_width)
-    for k, axes in enumerate(panels.pair_axes(figure, n_y, ratios)):
-        panels.draw_signal(axes[0], signals.cut(0, stop), k)
-        panels.draw_residuals(axes[1], signals.cut(0, stop), k)
+    curve = panels.Curve(found.label if len(members) else "_", "mean", mean, style.BLUE, style.VERMILLION)
+    times = dt * np.arange(time)
+    signals = panels.Signals(metrics["outputs"], times, measured[0], [curve], members, half_width, found.band)
+    for k, axes in enumerate(panels.draw_pairs(figure, signals, (0, stop), ratios)):
         if not len(members):
             style.note(axes[0], "no finished member to show: measurement only")
-        if metrics["n_init"]:
-            for ax in axes[:2]:
-                ax.axvspan(0.0, dt * min(metrics["n_init"], stop), color=style.QUIET, alpha=0.12, linewidth=0)
+        for ax in axes[:2]:
+            shade_uncounted(ax, metrics, stop)
         for ax in axes[2:]:
-            panels.draw_overview(ax, signals, k, stop)
-    handles: list[Artist] = [style.key("measured", style.TRUTH, linewidth=2.8)]
-    if len(members):
-        handles += [
-            style.key(found.label, style.BLUE, linewidth=1.4),
-            Patch(facecolor=style.SKY, alpha=0.35, label=found.band),
-            style.key("members", style.BLUE, linewidth=0.7, alpha=0.5),
-            style.key(f"residual: measured − {found.label}", style.VERMILLION, linewidth=1.2),
-        ]
-    style.legend(figure, handles)
+            _draw_overview(ax, signals, k, stop)
+    style.legend(figure)
     return figure
+
+
+def shade_uncounted(ax: Axes, metrics: Metrics, stop: int) -> None:
+    """The first n_init samples, which do not count."""
+    if metrics["n_init"]:
+        end = metrics["dt"] * min(metrics["n_init"], stop)
+        ax.axvspan(0.0, end, color=style.QUIET, alpha=0.12, linewidth=0)
+
+
+def _draw_overview(ax: Axes, signals: panels.Signals, k: int, stop: int) -> None:
+    """The residual over the whole sequence; the first `stop` samples are those of the window."""
+    style.quiet(ax, x="time (s)", y=signals.label(k, "residual"))
+    title = "residual of the whole sequence; shaded: the window above"
+    ax.set_title(title, loc="left", fontsize=8, color=style.QUIET, pad=3)
+    ax.plot(signals.time, signals.left(k, 0), color=style.VERMILLION, alpha=0.75, linewidth=0.5)
+    ax.axhline(0.0, color=style.INK, linewidth=0.8)
+    ax.axvspan(signals.time[0], signals.time[stop], color=style.YELLOW, alpha=0.30, linewidth=0)
+    ax.margins(x=0.01)
 
 
 def compared(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Compared:

@@ -13,10 +13,12 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from pgrssnn_jax.reports import content, style
 from pgrssnn_jax.reports.content import Metrics
 from pgrssnn_jax.reports.poses import Poses, Stage, circle, floor_lines, project, read_poses, set_stage
+from pgrssnn_jax.reports.prediction import shade_uncounted
 from pgrssnn_jax.reports.rendering import rendered
 
 FLOOR, SHADOW = "#f3f4f6", "#dcdfe3"
@@ -54,7 +56,7 @@ def stick_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Fig
         ax.annotate(str(k), (metrics["dt"] * sample, 1.0), (0, 2), fontsize=8.5, color=style.INK, **place)
     times, distances = metrics["dt"] * shown, poses.tip_distance[shown]
     ax.plot(times, distances, "o", color=style.VERMILLION, markersize=4.5, zorder=3, gid="shots")
-    style.legend(figure, _handles())
+    style.legend(figure, *_keys())
     return figure
 
 
@@ -76,7 +78,7 @@ def stick_animation(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> 
     for name, points in poses._asdict().items():
         arm.plot(*project(points[:, -1]).T, color=LOOKS[name][0], linewidth=0.8, alpha=0.4)
     _draw_distance(curve, poses, metrics)
-    style.legend(figure, _handles())
+    style.legend(figure, *_keys())
     picture = io.BytesIO()
     figure.savefig(picture, dpi=figure.dpi)
     width, height = figure.get_size_inches() * figure.dpi
@@ -186,8 +188,7 @@ def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics) -> None:
     style.quiet(ax, x="time (s)", y=style.label("tip, measured\nto predicted", "m"))
     marker = "." if len(distance) <= 60 else ""
     ax.plot(dt * np.arange(len(distance)), distance, color=style.VERMILLION, linewidth=1.1, marker=marker)
-    if metrics["n_init"]:
-        ax.axvspan(0.0, dt * min(metrics["n_init"], len(distance)), color=style.QUIET, alpha=0.12, linewidth=0)
+    shade_uncounted(ax, metrics, len(distance))
     ax.margins(x=0.01)
     if np.isfinite(distance).any():
         ax.set_ylim(0.0, 1.1 * float(np.nanmax(distance)) or 1.0)
@@ -195,11 +196,14 @@ def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics) -> None:
         style.note(ax, "no prediction to compare with the measurement", blank=True)
 
 
-def _handles() -> list[Artist]:
-    arms = LOOKS.items()
+def _keys() -> list[Artist]:
+    """What the colours mean; of the animation nothing that moves is drawn yet."""
+    others = {
+        "distance of the tips": (style.VERMILLION, 1.4, 0.0),
+        "path of the tip": (style.QUIET, 0.7, 0.0),
+        "measured arm from above, on the floor": (SHADOW, 2.6, 0.0),
+    }
     return [
-        *(style.key(name, c, linewidth=wide, marker="o", markersize=dot) for name, (c, wide, dot) in arms),
-        style.key("distance of the tips", style.VERMILLION, linewidth=1.4),
-        style.key("path of the tip", style.QUIET, linewidth=0.7),
-        style.key("measured arm from above, on the floor", SHADOW, linewidth=2.6),
+        Line2D([], [], label=name, color=colour, linewidth=wide, marker="o" if dot else "", markersize=dot)
+        for name, (colour, wide, dot) in {**LOOKS, **others}.items()
     ]

@@ -15,11 +15,11 @@ from matplotlib.lines import Line2D
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports.content import Metrics
 
-INK, QUIET, GRID, TRUTH = "#1b1f24", "#5f6873", "#e6e8eb", "#8b939d"
+INK, QUIET, GRID, TRUTH, FAINT = "#1b1f24", "#5f6873", "#e6e8eb", "#8b939d", "#b4bac2"
 BLUE, SKY, GREEN, VERMILLION, YELLOW = "#0072B2", "#56B4E9", "#009E73", "#D55E00", "#E69F00"
+DASHED, DOTTED = (0, (4, 2)), (0, (1, 1.5))
 
-WIDTH, HEADER = 11.0, 1.12  # inches
-MARGIN = 0.16
+WIDTH, HEADER, MARGIN = 11.0, 1.12, 0.16  # inches
 
 
 def plain(text: str) -> str:
@@ -27,8 +27,8 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def label(name: str, unit: str) -> str:
-    return plain(f"{name} ({unit})" if unit else f"{name} (–)")
+def label(name: str, unit: str | None) -> str:
+    return plain(f"{name} ({unit or '–'})")
 
 
 def page(body: float, metrics: Metrics, lines: Sequence[str]) -> Figure:
@@ -42,44 +42,38 @@ def headed(body: float, title: str, lines: Sequence[str], loud: Sequence[str]) -
 
     loud: phrases at the top right that nobody may overlook.
     """
-    width, height = WIDTH, HEADER + body
-    figure = Figure((width, height), dpi=150, facecolor="white")
+    height = HEADER + body
+    figure = Figure((WIDTH, height), dpi=150, facecolor="white")
     inset = MARGIN / 2 / height
-    figure.set_layout_engine(
-        "constrained", rect=(0.005, inset, 0.99, 1 - HEADER / height - inset), w_pad=0.06, h_pad=0.055
-    )
-
-    def write(right: bool, down: float, text: str, **look: Any) -> None:
-        x = 1 - MARGIN / width if right else MARGIN / width
-        figure.text(x, 1 - down / height, plain(text), ha="right" if right else "left", va="top", **look)
-
-    write(False, 0.14, title, fontsize=13, fontweight="bold", color=INK)
-    letters = int((width - 2 * MARGIN) * 14.5)
+    area = (0.005, inset, 0.99, 1 - HEADER / height - inset)
+    figure.set_layout_engine("constrained", rect=area, w_pad=0.06, h_pad=0.055)
+    left, right = MARGIN / WIDTH, 1 - MARGIN / WIDTH
+    figure.text(left, 1 - 0.14 / height, plain(title), va="top", fontsize=13, fontweight="bold", color=INK)
     for row, line in enumerate(lines[:2]):
-        write(False, 0.44 + 0.19 * row, textwrap.shorten(line, letters, placeholder=" …"), fontsize=8.5, color=QUIET)
+        text = plain(textwrap.shorten(line, int((WIDTH - 2 * MARGIN) * 14.5), placeholder=" …"))
+        figure.text(left, 1 - (0.44 + 0.19 * row) / height, text, va="top", fontsize=8.5, color=QUIET)
     if loud:
-        box = {"boxstyle": "round,pad=0.35", "facecolor": VERMILLION, "edgecolor": "none"}
-        write(True, 0.16, "   ·   ".join(loud), fontsize=8.5, fontweight="bold", color="white", bbox=box)
+        look: dict[str, Any] = {"fontsize": 8.5, "fontweight": "bold", "color": "white", "ha": "right", "va": "top"}
+        look["bbox"] = {"boxstyle": "round,pad=0.35", "facecolor": VERMILLION, "edgecolor": "none"}
+        figure.text(right, 1 - 0.16 / height, plain("   ·   ".join(loud)), **look)
     return figure
 
 
-def key(label: str, colour: str, **look: Any) -> Line2D:
-    """An entry of a legend."""
-    return Line2D([], [], color=colour, label=label, **look)
-
-
-def dots(label: str, colour: str, marker: str = "o", **look: Any) -> Line2D:
-    return key(label, colour, marker=marker, linewidth=0, **look)
-
-
-def legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """One row of legend entries at the foot of the header."""
-    width, height = figure.get_size_inches()
-    figure.legend(
-        handles=list(handles),
+def legend(figure: Figure, *more: Artist) -> None:
+    """One row at the foot of the header: every label of the panels once, then what no panel draws."""
+    found: dict[str, Any] = {}
+    for ax in figure.axes:
+        for handle, name in zip(*ax.get_legend_handles_labels(), strict=True):
+            found.setdefault(name, handle)
+    found |= {str(one.get_label()): one for one in more}
+    if not found:
+        return
+    shown = figure.legend(
+        handles=list(found.values()),
+        labels=list(found),
         loc="upper left",
-        bbox_to_anchor=((MARGIN + 0.01) / width, 1 - 0.82 / height),
-        ncols=max(len(handles), 1),
+        bbox_to_anchor=((MARGIN + 0.01) / WIDTH, 1 - 0.82 / figure.get_size_inches()[1]),
+        ncols=len(found),
         frameon=False,
         fontsize=8.5,
         borderpad=0.1,
@@ -88,23 +82,30 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
         columnspacing=1.8,
         labelcolor=INK,
     )
+    for handle in shown.legend_handles:
+        if isinstance(handle, Line2D):  # many members are drawn faint
+            handle.set_alpha(max(handle.get_alpha() or 1.0, 0.5))
 
 
 def quiet(ax: Axes, *, title: str = "", x: str = "", y: str = "") -> Axes:
     """Left and bottom spine, a faint grid behind the data, small grey ticks, labels as given."""
-    for side in ("top", "right"):
-        ax.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_color("#b4bac2")
-        ax.spines[side].set_linewidth(0.8)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set(color=FAINT, linewidth=0.8)
     ax.set_facecolor("white")
     ax.grid(True, which="major", color=GRID, linewidth=0.7)
     ax.set_axisbelow(True)
-    ax.tick_params(which="both", colors="#b4bac2", labelcolor=QUIET, labelsize=8, length=3, width=0.8)
+    ax.tick_params(which="both", colors=FAINT, labelcolor=QUIET, labelsize=8, length=3, width=0.8)
     ax.set_title(title, loc="left", fontsize=9, color=INK, pad=5)
     ax.set_xlabel(x, fontsize=8.5, color=INK)
     ax.set_ylabel(y, fontsize=8.5, color=INK)
     return ax
+
+
+def rows(ax: Axes, names: Sequence[str]) -> None:
+    """A row for each name, from the top."""
+    ax.set_yticks(range(len(names)), list(map(plain, names)))
+    ax.set_ylim(len(names) - 0.4, -0.6)
+    ax.grid(False, axis="y")
 
 
 def note(ax: Axes, text: str, *, blank: bool = False) -> None:

@@ -166,7 +166,7 @@ def test_of_many_candidates_the_best_are_drawn_and_the_chosen_ones_always():
 
 
 def test_shifts_are_relative_largest_first_and_numbers_that_began_at_zero_are_left_to_the_table():
-    figure = figures.shifts_figure(TANK[0])
+    figure = figures.shifts_figure(*TANK)
     ax = figure.axes[0]
     assert [label.get_text() for label in ax.get_yticklabels()] == ["k2", "k1", "k3", "k4"]
     points = {tuple(np.round(line.get_xydata()[0], 6)) for line in ax.lines if len(line.get_xdata()) == 1}
@@ -177,5 +177,5 @@ def test_shifts_are_relative_largest_first_and_numbers_that_began_at_zero_are_le
 
 def test_an_uncertain_shift_does_not_hide_the_others():
     wild = {"k": {"before": 1.0, "after": 1.1, "std": 1e6, "unit": ""}}
-    low, high = figures.shifts_figure(TANK[0] | {"recalibration": wild, "parameters": {}}).axes[0].get_xlim()
+    low, high = figures.shifts_figure(TANK[0] | {"recalibration": wild, "parameters": {}}, {}).axes[0].get_xlim()
     assert high - low < 40
