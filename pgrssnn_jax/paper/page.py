@@ -27,9 +27,7 @@ def evidence_page(
     header = ("folder", "state", "members", "time", "commit", "reason")
     return rendered(
         "runs.html.j2",
-        kind="Report of many runs",
-        heading="Measured and published",
-        facts=[f"published figures: {paper.source}; all errors are those of free runs over the test record"],
+        source=paper.source,
         simulated=sum(row.simulated for row in rows),
         measured=sum(row.metrics is not None for row in rows),
         capped=[table.title for table in tables if table.budget],
@@ -41,10 +39,10 @@ def evidence_page(
             "judged": f"{sum(held for held, _ in orders)} / {sum(pairs for _, pairs in orders)}",
             "seconds": math.fsum(table.seconds for table in tables),
         },
-        links={table.slug: table.title for table in tables} | {"runs": "Runs", "reproduce": "Reproduce"},
         sections=[
             {
                 "slug": table.slug,
+                "name": table.title,
                 "title": (found := table_of(table)).title,
                 "table": found._replace(title=""),
                 "problems": problems(table),
