@@ -8,25 +8,26 @@ from pgrssnn_jax.reports import discovery_facts as facts
 from pgrssnn_jax.reports.content import number, percent
 from pgrssnn_jax.reports.discovery_facts import Discovery
 
-_SHOWN_QUANTITIES = 4
+_FEW = 3  # effects of which a first screen can tell more
 
 
 def answers(discovery: Discovery) -> dict[str, list[str]]:
     """The sentences of each answer, by its question."""
-    return {
-        "What is missing?": list(_missing(discovery)),
-        "How sure is it?": list(_certainty(discovery)),
-        "What stays open, and where?": list(_open(discovery)),
-        "What to measure next?": list(_next(discovery)),
+    questions = {
+        "What is missing?": _missing,
+        "How sure is it?": _certainty,
+        "What stays open, and where?": _open,
+        "What to measure next?": _next,
     }
+    return {question: list(told(discovery)) or ["These data do not say."] for question, told in questions.items()}
 
 
 def _missing(discovery: Discovery) -> Iterator[str]:
     effects = discovery.get("effects") or ()
     for effect in effects:
         numbers = facts.quantities(effect)
-        told = [f"{one.name} = {one.words}" for one in numbers[:_SHOWN_QUANTITIES]]
-        told += [f"{len(numbers) - len(told)} more numbers below"] if len(numbers) > len(told) else []
+        told = [f"{one.name} = {one.words}" for one in numbers[: 4 if len(effects) <= _FEW else 2]]
+        told += [f"{len(numbers) - len(told)} more below"] if len(numbers) > len(told) else []
         yield f"{effect.get('title') or effect['name']}{': ' if told else ''}{', '.join(told)}"
     if discovery.get("formula"):
         yield f"Without a name: {discovery['formula']}"
@@ -38,17 +39,26 @@ def _missing(discovery: Discovery) -> Iterator[str]:
 
 
 def _certainty(discovery: Discovery) -> Iterator[str]:
-    for effect in discovery.get("effects") or ():
-        p, runner = effect.get("p_value"), effect.get("runner_up") or {}
-        by_chance = "" if p is None else f", p = {facts.chance(p)}"
-        second = f"; the runner-up {runner['name']} would close {percent(runner.get('gain'))}" if runner else ""
-        yield f"{effect['name']} closes {percent(effect.get('gain_test'))} of the gap on test data{by_chance}{second}."
+    effects = discovery.get("effects") or ()
+    by_chance: dict[str, list[str]] = {}
+    for effect in effects:
+        if effect.get("p_value") is not None:
+            by_chance.setdefault(facts.chance(effect["p_value"]), []).append(str(effect["name"]))
+    for p, names in by_chance.items():
+        yield f"p = {p} that chance does as well: {', '.join(names)}."
+    gains = sorted(((facts.real(effect.get("gain_test")), str(effect["name"])) for effect in effects), reverse=True)
+    closed = [f"{percent(gain)} by {name}" for gain, name in gains if math.isfinite(gain)]
+    if closed:
+        yield f"Closed of the gap on test data: {', '.join(closed)}."
+    for effect in effects if len(effects) <= _FEW else ():
+        if runner := effect.get("runner_up"):
+            yield f"In place of {effect['name']}, {runner['name']} would close {percent(runner.get('gain'))}."
     gap, (metric, unit) = discovery.get("gap") or {}, facts.gap_metric(discovery)
     low, high = map(facts.real, gap.get("improvement_interval") or (None, None))
     if math.isfinite(low + high):
-        yield f"With 95 % confidence the test {metric} falls by {number(low)} to {number(high, unit)}."
+        yield f"The test {metric} falls by {number(low)} to {number(high, unit)} (95 %) below the recalibrated physics."
     threshold = (discovery.get("null") or {}).get("threshold")
-    if threshold is not None and not discovery.get("effects"):
+    if threshold is not None and not effects:
         yield f"An effect would have to take away {percent(threshold)} of the error energy: chance reaches as much."
 
 
@@ -63,8 +73,6 @@ def _open(discovery: Discovery) -> Iterator[str]:
         yield f"Test {metric} {number(after, unit)} with all that was found{noise}."
     if where:
         yield f"Most of it: {where}."
-    if share is None and not math.isfinite(after) and not where:
-        yield "No test record says so."
 
 
 def _next(discovery: Discovery) -> Iterator[str]:
@@ -76,9 +84,9 @@ def _next(discovery: Discovery) -> Iterator[str]:
         yield f"To tell {', '.join(names)} apart from what was found: {experiment}."
     reasons: dict[str, list[str]] = {}
     for row in discovery.get("untestable") or ():
-        reasons.setdefault(str(row.get("reason") or "not in these data"), []).append(str(row["name"]))
+        reasons.setdefault(str(row.get("reason") or "no reason given"), []).append(str(row["name"]))
     for reason, names in reasons.items():
-        yield f"Another record to test {', '.join(names)}. In this one {reason}."
+        yield f"Not tested by these data: {', '.join(names)}. {reason[0].upper()}{reason[1:]}."
     unsure = dict.fromkeys(name for row in discovery.get("undetermined") or () for name in row["changes"])
     if unsure:
         yield f"Richer inputs, to determine {', '.join(unsure)}."
