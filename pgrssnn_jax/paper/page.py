@@ -51,7 +51,7 @@ def evidence_page(
             }
             for table in tables
         ],
-        runs=Table(header, [_run(run) for run in runs], left=("folder", "reason"), wrap=True),
+        runs=Table(header, [_run(run) for run in runs], left=("folder", "state", "reason"), wrap=True),
         command=command,
         commands="\n".join(f"# {name}\n{words}" for name, words in commands if words),
     )

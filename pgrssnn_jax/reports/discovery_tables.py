@@ -90,13 +90,10 @@ def gap_table(discovery: Discovery) -> Table:
 
 def joint_table(discovery: Discovery) -> Table:
     """Torque error of every joint over the standard deviation of its torque; empty for what is no arm."""
-    rows: list[list[str]] = []
-    for row in discovery.get("joints") or ():
-        cells = [
-            " → ".join(number(real((row.get(regime) or {}).get(stage))) for stage in ("before", "after"))
-            for regime in ("all", "moving", "at_rest")
-        ]
-        rows.append([str(row["joint"]), number(row.get("std")), *cells])
+    rows = [
+        [str(row["joint"]), number(row.get("std")), *(_change(row.get(r) or {}) for r in ("all", "moving", "at_rest"))]
+        for row in discovery.get("joints") or ()
+    ]
     header = ("joint", "std (Nm)", "all", "moving", "at rest")
     return _table("Torque errors by joint, nominal → with the missing effects", header, rows)
 
@@ -122,7 +119,7 @@ def number_tables(discovery: Discovery) -> list[Table]:
     network = discovery.get("network") or {}
     of = str(network.get("metric") or "RMSE")
     supplied: list[list[str]] = [
-        [words, percent(network.get(f"share_{stage}")), number(real(network.get(f"{of.lower()}_{stage}")))]
+        [words, percent(network.get(f"share_{stage}")), number(network.get(f"{of.lower()}_{stage}"))]
         for stage, words in facts.STAGES.items()
         if f"share_{stage}" in network
     ]
@@ -137,12 +134,18 @@ def number_tables(discovery: Discovery) -> list[Table]:
     tables = [
         gap_table(discovery),
         joint_table(discovery),
-        _table("Where physics and measurement disagree", where_header, where),
+        _table("Where physics and measurement disagree", where_header, where)._replace(
+            left=("equation", "where", "when")
+        ),
         _table(tried_title, ("effect", "error energy", "p", "chosen"), [])._replace(rows=tried),
         shift_table(discovery),
         _table("What the network of the PG-RSSNN has to supply", network_header, supplied),
     ]
     return [table for table in tables if table.rows]
+
+
+def _change(errors: Mapping[str, Any]) -> str:
+    return " → ".join(number(errors.get(stage)) for stage in ("before", "after"))
 
 
 def _table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Table:

@@ -94,6 +94,11 @@ def test_the_table_of_candidates_names_the_chosen_one_first():
     assert table.rows[0][1] == ["0.1200", "300", "correction=0.1"]
 
 
+def test_a_run_of_an_earlier_version_lists_seeds_alone():
+    footer = " ".join(choice_table(RECIPE | {"fell_back": [3, 7]}, "tanks").footer)
+    assert footer.endswith("physics alone: 3, 7")
+
+
 @pytest.mark.parametrize("run", [tanks(4, 200), tanks(2, 200, failed=(0, 1)), lgssm(3, 2000)])
 def test_the_figure_of_the_networks_shows_signals_with_their_names(run):
     figure = network_figure(explained(run).predictions, explained(run).metrics)
