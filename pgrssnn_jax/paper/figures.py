@@ -15,7 +15,7 @@ from pgrssnn_jax.paper.rows import EvidenceTable, Row
 from pgrssnn_jax.paper.tables import who
 from pgrssnn_jax.reports import style
 from pgrssnn_jax.reports.content import number
-from pgrssnn_jax.reports.panels import limit
+from pgrssnn_jax.reports.panels import Curve, Signals, draw_signal
 from pgrssnn_jax.reports.prediction import compared
 
 KINDS = {
@@ -162,8 +162,8 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
     The prediction of a model is the mean over its finished members. Runs whose predictions cannot be read, or belong to
     another test record, are named as left out.
     """
-    curves: list[tuple[str, np.ndarray, dict[str, Any]]] = []
-    measured, metrics, left_out = np.zeros(0), None, []
+    curves: list[Curve] = []
+    measured, metrics, left_out = np.zeros((0, 1)), None, []
     for row in table.rows:
         if row.variant.n_train != table.sizes[0]:
             continue
@@ -171,9 +171,9 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
         if found is None or (metrics is not None and not np.array_equal(found[0], measured, equal_nan=True)):
             left_out.append(row.series)
             continue
-        measured, metrics = found[0], row.metrics
-        look = {**_looks(table)[row.series], "marker": ""}
-        curves.append((f"{row.series}: {number(row.figures.ensemble, table.unit)}", found[1], look))
+        measured, metrics, look = found[0], row.metrics, _looks(table)[row.series]
+        name = style.plain(f"{row.series}: {number(row.figures.ensemble, table.unit)}")
+        curves.append(Curve(name, row.series, found[1], look["color"], dash=look["linestyle"]))
     what = f"beside its name the {table.merit.upper()} of the curve"
     lines = [f"free run over the test record; a curve is the mean prediction of the finished members, {what}"]
     lines += [f"left out, no prediction: {', '.join(left_out)}"] if left_out else []
@@ -183,34 +183,27 @@ def overlay_figure(table: EvidenceTable, paper: Paper) -> Figure:
         for ax in (top, under):
             style.note(style.quiet(ax), "no member finished")
         return figure
-    output, time = metrics["outputs"][0], len(measured)
+    time = len(measured)
     start = max(0, (time - STRETCH) // 2)
     stop = min(time, start + STRETCH)
-    t = metrics["dt"] * np.arange(time)
+    t, nothing = metrics["dt"] * np.arange(time), np.full((0, time, 1), np.nan)
+    signals = Signals(metrics["outputs"], t, measured, curves, nothing, np.full((time, 1), np.nan))
+    draw_signal(top, signals.cut(start, stop), 0, x="time (s)", title=f"samples {start} to {stop - 1}")
     whole = f"whole test record, {time} samples; shaded: the stretch above"
-    for ax, a, b, wide, title in (
-        (top, start, stop, 1.5, f"samples {start} to {stop - 1}"),
-        (under, 0, time, 1.0, whole),
-    ):
-        style.quiet(ax, title=title, y=style.label(output["name"], output.get("unit")), x="time (s)")
-        ax.plot(t[a:b], measured[a:b], color=style.TRUTH, linewidth=2 * wide, alpha=0.8, label="measured")
-        for name, y_hat, look in curves:
-            ax.plot(t[a:b], y_hat[a:b], linewidth=wide, label=style.plain(name), **look)
-        limit(ax, measured[a:b], np.concatenate([y_hat[a:b] for _, y_hat, _ in curves]))
-        ax.margins(x=0.01)
+    draw_signal(under, signals, 0, x="time (s)", title=whole)
     under.axvspan(t[start], t[stop - 1], color=style.YELLOW, alpha=0.15, linewidth=0)
     style.legend(figure)
     return figure
 
 
 def _prediction(row: Row) -> tuple[np.ndarray, np.ndarray] | None:
-    """Measured and predicted first output of the first test sequence, `[time]`; None where there is no such file."""
+    """Measured and predicted first output of the first test sequence, `[time, 1]`; None where there is no such file."""
     if row.run is None or row.metrics is None or not row.finished:
         return None
     try:
         with np.load(row.run.path / "predictions.npz") as stored:
             arrays = {name: stored[name] for name in ("y", "mask", "y_hat", "ensemble_mean", "ensemble_std")}
-        y = np.where(arrays["mask"], arrays["y"], np.nan)[0, :, 0].astype(np.float64)
-        return y, compared(arrays, row.metrics).mean[0, :, 0]
+        y = np.where(arrays["mask"], arrays["y"], np.nan)[0, :, :1].astype(np.float64)
+        return y, compared(arrays, row.metrics).mean[0, :, :1]
     except Exception:  # a damaged archive fails in many ways; the figure names the run
         return None

@@ -30,8 +30,7 @@ def record(discovery: Discovery, arrays: Arrays, part: str, stages: Iterable[str
         return None, 0
     nothing = np.full(y.shape, np.nan)
     curves = [
-        Curve(f"{s}: {STAGES[s]}", s, finite(arrays.get(f"y_{s}_{part}", nothing)[0]), COLOURS[s], COLOURS[s])
-        for s in stages
+        Curve(f"{s}: {STAGES[s]}", s, finite(arrays.get(f"y_{s}_{part}", nothing)[0]), COLOURS[s]) for s in stages
     ]
     measured = finite(np.where(arrays.get(f"mask_{part}", True), y, np.nan))[0]
     time = np.asarray(arrays[f"time_{part}"], np.float64)

@@ -6,14 +6,13 @@ added = ŷ - ŷ of the same members without their networks            mean over 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from pgrssnn_jax.reports import content, panels, style
 from pgrssnn_jax.reports.content import Metrics
 
 _OUTPUTS, _SIGNALS = 2, 6  # that one figure has room for
-_BINS = 12
+_BINS = 12  # of equally many samples
 
 
 def network_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Figure:
@@ -69,9 +68,12 @@ def _signals(
 
 
 def _binned(signal: np.ndarray, added: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means of the signal and RMS of what is added, in bins of equally many samples."""
-    found = pd.DataFrame({"signal": panels.finite(signal), "energy": panels.finite(added) ** 2}).dropna()
-    if found["signal"].nunique() < 2:
+    usable = np.isfinite(signal) & np.isfinite(added)
+    signal, added = signal[usable], added[usable]
+    edges = np.unique(np.quantile(signal, np.linspace(0.0, 1.0, _BINS + 1))) if len(signal) else np.zeros(1)
+    if len(edges) < 2:
         return np.zeros(0), np.zeros(0)
-    binned = found.groupby(pd.qcut(found["signal"], _BINS, duplicates="drop"), observed=True).mean()
-    return binned["signal"].to_numpy(), np.sqrt(binned["energy"].to_numpy())
+    which = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, len(edges) - 2)
+    count = np.maximum(np.bincount(which, minlength=len(edges) - 1), 1)
+    mean_square = np.bincount(which, added**2, minlength=len(edges) - 1) / count
+    return np.bincount(which, signal, minlength=len(edges) - 1) / count, np.sqrt(mean_square)

@@ -13,18 +13,21 @@ READABLE, WINDOW = 1500, 300  # samples that one panel can show, and of a longer
 
 
 class Curve(NamedTuple):
-    """A prediction `[time, y]`; name: in the legend; gid: of its artists; left_over: colour of its residual."""
+    """A prediction `[time, y]`; name: in the legend; gid: of its artists; left_over: colour of its residual, where it
+    has one of its own."""
 
     name: str
     gid: str
     values: np.ndarray
     colour: str
-    left_over: str
+    left_over: str = ""
+    dash: Any = "-"
 
 
 class Signals(NamedTuple):
     """One sequence: time `[time]` (s), measured `[time, y]`, NaN where nothing was; outputs: `name` and `unit` of each;
-    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve, and its name."""
+    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve, and its name. An array of no
+    members: neither of them."""
 
     outputs: Sequence[Mapping[str, Any]]
     time: np.ndarray
@@ -92,16 +95,17 @@ def extent(start: int, stop: int, time: int, sequences: int) -> str:
     return samples + (f", sequence 1 of {sequences}" if sequences > 1 else "")
 
 
-def draw_signal(ax: Axes, signals: Signals, k: int) -> None:
-    """Output `k` as measured, below the predicted ones; of one that runs away only the near part shows."""
-    style.quiet(ax, y=signals.label(k)).tick_params(labelbottom=False)
+def draw_signal(ax: Axes, signals: Signals, k: int, *, x: str = "", title: str = "") -> None:
+    """Output `k` as measured, below the predicted ones; of one that runs away only the near part shows. x: label of the
+    time, empty where it stands below another panel."""
+    style.quiet(ax, title=title, x=x, y=signals.label(k)).tick_params(labelbottom=bool(x))
     measured = signals.measured[:, k]
     band = _draw_members(ax, signals, k, np.zeros(len(signals.time)), 1.0)
     look: dict[str, Any] = {"linewidth": 2.6, "marker": signals.marker, "markersize": 9, "zorder": 1.9}
     ax.plot(signals.time, measured, color=style.TRUTH, label="measured", gid="measured", **look)
     for curve in signals.curves:
-        look = {"color": curve.colour, "linewidth": 1.3, "marker": signals.marker, "gid": curve.gid, "zorder": 2.6}
-        ax.plot(signals.time, curve.values[:, k], label=curve.name, **look)
+        look = {"color": curve.colour, "linestyle": curve.dash, "linewidth": 1.3, "marker": signals.marker}
+        ax.plot(signals.time, curve.values[:, k], label=curve.name, gid=curve.gid, zorder=2.6, **look)
     curves = [curve.values[:, k] for curve in signals.curves]
     limit(ax, measured, np.concatenate([signals.members[..., k].ravel(), *band, *curves]))
     ax.margins(x=0.01)
@@ -116,8 +120,8 @@ def draw_residuals(ax: Axes, signals: Signals, k: int, *, x: str = "time (s)") -
     left = [(curve, signals.left(k, i)) for i, curve in enumerate(signals.curves)]
     left = [(curve, residual) for curve, residual in left if np.isfinite(residual).any()]
     for curve, residual in left:
-        name = curve.name if curve.left_over == curve.colour else f"residual: measured − {curve.name}"
-        look = {"color": curve.left_over, "linewidth": 1.0, "marker": signals.marker, "gid": curve.gid}
+        name = f"residual: measured − {curve.name}" if curve.left_over else curve.name
+        look = {"color": curve.left_over or curve.colour, "linewidth": 1.0, "marker": signals.marker, "gid": curve.gid}
         ax.plot(signals.time, residual, label=name, **look)
     ax.margins(x=0.01)
     if not left:

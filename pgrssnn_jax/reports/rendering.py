@@ -8,7 +8,7 @@ from typing import Any
 
 from pgrssnn_jax.reports import content
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 def rendered(template: str, **given: Any) -> str:
@@ -32,6 +32,6 @@ def _templates() -> Any:
 def _png(picture: Path | bytes) -> str:
     """A PNG file as an address that holds it."""
     raw = picture if isinstance(picture, bytes) else picture.read_bytes() if picture.is_file() else b""
-    if not raw.startswith(_PNG_SIGNATURE):
+    if not raw.startswith(PNG_SIGNATURE):
         raise ValueError(f"report: figures: expected a PNG file, found {picture!s:.200}")
     return f"data:image/png;base64,{base64.b64encode(raw).decode('ascii')}"

@@ -8,13 +8,13 @@ import pytest
 from commands import command, composed
 from omegaconf import OmegaConf
 from paper_samples import begin_run, spread_over, write_run
-from pgrssnn_jax.reports.markup import PNG_SIGNATURE
 from rich.console import Console
 
 from pgrssnn_jax.cli.report import prepare_report, report_run, run_roots
 from pgrssnn_jax.paper.collect import collect
 from pgrssnn_jax.paper.published import read_paper
 from pgrssnn_jax.paper.rows import evidence_tables
+from pgrssnn_jax.reports.rendering import PNG_SIGNATURE
 from report import as_typed
 
 
