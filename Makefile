@@ -58,7 +58,7 @@ test-oldest: PYTEST_ARGUMENTS := -W ignore::DeprecationWarning  # of old package
 test-latest test-oldest: test-%:
 	$(PYTHON) -m venv --clear $(VENV)-$*
 	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check uv
-	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python --resolution $(RESOLUTION) --editable '.[test]'
+	$(VENV)-$*/bin/uv pip install --quiet --python $(VENV)-$*/bin/python --resolution $(RESOLUTION) --editable '.[test,notebooks,docs]'
 	$(VENV)-$*/bin/python -m pytest $(PYTEST_ARGUMENTS)
 
 coverage: install
@@ -75,5 +75,5 @@ audit: install
 
 lock: install
 	$(BIN)/python -m pip install --quiet pip-tools
-	$(BIN)/pip-compile --quiet --generate-hashes --extra test --extra check --extra docs --strip-extras --no-emit-index-url \
-	  --no-emit-find-links --no-emit-trusted-host --output-file requirements.lock pyproject.toml
+	$(BIN)/pip-compile --quiet --generate-hashes --extra test --extra notebooks --extra check --extra docs \
+	  --strip-extras --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --output-file requirements.lock pyproject.toml
