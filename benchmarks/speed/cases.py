@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pgrssnn_jax.acceleration.native import missing_kernels
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import Model, ModelParams, build_model
-from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.rollout import Route, rollout
 from pgrssnn_jax.models.scaling import model_scaling
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.arms.build import arm
@@ -48,14 +49,26 @@ SYSTEMS = {
 }
 
 
+def usual_route(dtype: Any) -> Route | None:
+    """The route that own data takes: the C++ kernels, where there is a compiler, in single precision."""
+    return "native" if np.dtype(dtype) == np.float32 and missing_kernels() is None else None
+
+
 def training(
-    system: System, physics: Physics, *, samples: int | None = None, epochs: int = 20, dtype: Any = np.float32
+    system: System,
+    physics: Physics,
+    *,
+    samples: int | None = None,
+    epochs: int = 20,
+    dtype: Any = np.float32,
+    route: Route | None = None,
 ) -> tuple[Fit, MemberData]:
     """One member and a chunk of `epochs` epochs with one validation."""
     sequences, length = system.train
     data = member_data(system, physics, sequences, samples or length, dtype)
     settings = FitSettings(validate_every=epochs, chunk_epochs=epochs, patience=10**6)
-    return Fit(build_objective(build_model(system.spec, physics), InitialState()), settings), data
+    objective = build_objective(build_model(system.spec, physics), InitialState(), route=route)
+    return Fit(objective, settings), data
 
 
 def member_data(system: System, physics: Physics, sequences: int, samples: int, dtype: Any) -> MemberData:
@@ -88,7 +101,8 @@ def torques(sequences: int, samples: int) -> np.ndarray:
 
 def training_call(fit: Fit, data: MemberData, count: int, mapping: MemberMapping | None = None) -> tuple[Any, ...]:
     """A jitted chunk of epochs of `count` members, and its arguments; mapping: None for the one that is chosen."""
-    mapping = mapping or choose_mapping(count, data.train.u.shape[0], jax.device_count())
+    native = fit.objective.route == "native"
+    mapping = mapping or choose_mapping(count, data.train.u.shape[0], jax.device_count(), native=native)
     members = repeat(data, count)
     state = jit_members(fit.begin, mapping)(keys_of([Member(i, 0) for i in range(count)]), members)
     return jit_members(fit.advance, mapping), in_precision(state, data.train.u.dtype), members

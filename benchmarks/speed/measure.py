@@ -15,7 +15,8 @@ from pgrssnn_jax.acceleration.devices import usable_cores
 from pgrssnn_jax.physics.arms.build import arm
 
 from . import arm_dynamics
-from .cases import SYSTEMS, System, inputs, model_and_params, rollout_call, training, training_call
+from .cases import SYSTEMS, System, inputs, model_and_params, rollout_call, training, training_call, usual_route
+from .goals import XLA
 from .roof import roof
 from .timing import Program, compiled, interleaved, spread
 from .work import Work, epoch_work, rollout_work
@@ -52,8 +53,11 @@ def system_part(name: str, *, quick: bool, compare: bool) -> Figures:
     """Epochs of one member and of an experiment's, a rollout, and the PyTorch loop of each."""
     system = _smaller(SYSTEMS[name]) if quick else SYSTEMS[name]
     physics = system.physics()
-    cases = {f"epoch, {_counted(n)}": epoch_case(system, physics, n) for n in {1: None, system.members: None}}
-    cases["rollout"] = rollout_case(system, physics, *system.run)
+    cases = {}
+    for form, route in {"": usual_route(np.float32), XLA: None}.items():
+        counts = {1: None, system.members: None}
+        cases |= {f"epoch, {_counted(n)}{form}": epoch_case(system, physics, n, route=route) for n in counts}
+        cases[f"rollout{form}"] = rollout_case(system, physics, *system.run, route=route)
     if compare:
         from . import compare as against  # PyTorch is an optional extra
 
@@ -66,13 +70,21 @@ def arm_part(*, quick: bool, compare: bool) -> Figures:
     system = _smaller(SYSTEMS["arm"]) if quick else SYSTEMS["arm"]
     physics = {gradient: arm(physics_gradient=gradient) for gradient in ("stopped", "full")}
     samples = system.train[1]
-    cases = {f"epoch, gradient {name}": epoch_case(system, one, 1, epochs=2) for name, one in physics.items()}
+    forms = {"": usual_route(np.float32), XLA: None}
+    cases = {
+        f"epoch, gradient {name}{form}": epoch_case(system, one, 1, epochs=2, route=route)
+        for name, one in physics.items()
+        for form, route in forms.items()
+    }
     for name, program in arm_dynamics.free_runs(samples, [("jax", np.float32)], gradients=False).items():
         cases[f"evaluation, {name}"] = Case(program.call, arm_dynamics.evaluations(samples), program)
     for name, call in arm_dynamics.pinocchio_calls().items():
         cases[f"evaluation, {name}"] = Case(call, arm_dynamics.EVALUATIONS_PER_CALL)
     found = measured(cases, 2 if quick else 5)
-    runs = {"rollout": rollout_case(system, physics["full"], *system.run)}
+    runs = {
+        f"rollout{form}": rollout_case(system, physics["full"], *system.run, route=route)
+        for form, route in forms.items()
+    }
     if compare:
         from . import compare as against
 
@@ -81,9 +93,16 @@ def arm_part(*, quick: bool, compare: bool) -> Figures:
 
 
 def epoch_case(
-    system: System, physics: Any, members: int, *, epochs: int = 20, dtype: Any = np.float32, mapping: Any = None
+    system: System,
+    physics: Any,
+    members: int,
+    *,
+    epochs: int = 20,
+    dtype: Any = np.float32,
+    mapping: Any = None,
+    route: Any = None,
 ) -> Case:
-    fit, data = training(system, physics, epochs=epochs, dtype=dtype)
+    fit, data = training(system, physics, epochs=epochs, dtype=dtype, route=route)
     program = compiled(*training_call(fit, data, members, mapping))
     work = epoch_work(system.spec, physics, system.stages, *system.train, members=members)
     return Case(program.call, epochs, program, work, dtype)
