@@ -3,18 +3,13 @@
     r_i = dx_i/dt - f_i(θ, x, u) ≈ Σ_j c_ij φ_j(x, u),   c by STLSQ beside a refit of θ
 
 x: outputs and their rates by PySINDy's smoothed differences. A state that is neither is given as it is in the
-simulator, without noise: no user has that. φ: monomials up to order 3 of the signals of the equation and of the
-inputs; sign(z) and |z| z where z changes its sign, sqrt(z) where it does not. The derivatives of f with respect to θ
-are columns that no threshold touches, so that a wrong parameter is no term. Smoothing and threshold are chosen by
-left-out blocks: each is simulated from its first state, and of the models within a standard error of the best the one
-with the fewest terms is taken.
+simulator, without noise: no user has that. φ: the library in `terms.py`. The derivatives of f with respect to θ are
+columns that no threshold touches, so that a wrong parameter is no term. Smoothing and threshold are chosen by left-out
+blocks, each simulated from its first state: the best model is taken, or of those within a standard error of it the one
+with the fewest terms.
 """
 
 import warnings
-from collections.abc import Callable
-from functools import partial, reduce
-from itertools import combinations_with_replacement
-from operator import mul
 from typing import Any, NamedTuple
 
 import jax
@@ -31,6 +26,7 @@ from . import bench, chain, circuit, reactor
 from .case import Case
 from .nominal import nominal
 from .rig import HISTORY, Rig, levels
+from .terms import Term, library
 
 SYSTEMS = ("pendulum", "duffing", "servo", "drive", "hysteretic", "tanks", "chain", "circuit", "reactor")
 WINDOWS = (9, 15, 25, 41)  # samples of the smoothing
@@ -38,43 +34,6 @@ THRESHOLDS = (*np.geomspace(0.03, 0.6, 8), np.inf)  # of a term's RMS in that of
 _BLOCKS, _FOLDS = 20, 5  # contiguous blocks, that take turns in being left out
 _OWN = 1e-3  # of a term that is no combination of the physics' own: with less it is not told from them
 _PLANTS = {"chain": chain.PLANT, "circuit": circuit.PLANT, "reactor": reactor.PLANT}
-_INPUT = ("input_saturation", "input_dead_zone", "pump_saturation", "pump_dead_zone", "pump_nonlinearity")
-_LEVEL = ("overflow_1to2", "overflow_lost", "tank2_overflow", "power_law", "outlet_exponent")
-# Hidden effects that a term stands for, by the role of its signal and its shape; a product stands for none.
-MEANING: dict[tuple[str, str], tuple[str, ...]] = {
-    ("", "1"): ("input_offset", "constant_force", "inflow"),
-    ("input", "z"): ("input_gain", "bypass"),
-    **{("input", shape): _INPUT for shape in ("z^2", "z^3", "|z|z", "sign(z)", "sqrt(z)")},
-    ("rate", "z"): ("viscous_friction",),
-    ("rate", "sign(z)"): ("coulomb_friction", "stribeck_friction"),
-    ("rate", "|z|z"): ("quadratic_drag",),
-    ("rate", "z^3"): ("quadratic_drag",),
-    ("position", "z"): ("linear_spring",),
-    ("position", "z^3"): ("cubic_spring",),
-    ("position", "|z|z"): ("cubic_spring",),
-    ("level", "z"): ("leak", "leak_tank1"),
-    **{("level", shape): _LEVEL for shape in ("z^2", "z^3", "|z|z", "sqrt(z)")},
-}
-_LAWS = {
-    ("coulomb_friction", "sign(z)"),
-    ("quadratic_drag", "|z|z"),
-    ("cubic_spring", "z^3"),
-    ("leak", "z"),
-    ("leak_tank1", "z"),
-    ("inflow", "1"),
-}
-CAN_NAME = {name for names in MEANING.values() for name in names}
-Values = Any  # of all signals z `[signal, ...]`, states before inputs
-
-
-class Term(NamedTuple):
-    """equation: of which state; role and shape as in MEANING, shape "" for a product; text: as a person writes it."""
-
-    equation: int
-    role: str
-    shape: str
-    text: str
-    value: Callable[[Values], Values]
 
 
 class Found(NamedTuple):
@@ -105,19 +64,21 @@ class Data(NamedTuple):
     inside: np.ndarray
 
 
-def regressed(case: Case) -> Found:
-    """Raises `ImportError` without pysindy (`pip install -e '.[compare]'`)."""
+def regressed(case: Case, allowed: float = 1.0) -> Found:
+    """allowed: standard errors by which a sparser model may be worse than the best.
+
+    Raises `ImportError` without pysindy (`pip install -e '.[compare]'`)."""
     physics = nominal(case)
     with jax.enable_x64(True), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a threshold that leaves nothing
         smoothed = {window: measured(physics, case, window) for window in WINDOWS}
-        ahead = Ahead(physics, library(physics, smoothed[WINDOWS[1]]))
+        ahead = Ahead(physics, library(physics, smoothed[WINDOWS[1]].z))
         tried = {window: Regression(ahead, case.train, data) for window, data in smoothed.items()}
         models = [(w, fit) for w, one in tried.items() for fit in one.fits()]
         errors = np.concatenate([one.left_out() for one in tried.values()])
     best, count = errors[np.argmin(errors.mean(1))], [np.count_nonzero(fit.coefficients) for _, fit in models]
     worse = errors - best
-    near = np.flatnonzero(worse.mean(1) <= worse.std(1) / _BLOCKS**0.5)
+    near = np.flatnonzero(worse.mean(1) <= allowed * worse.std(1) / _BLOCKS**0.5)
     window, fit = models[min(near, key=lambda k: (count[k], errors[k].mean()))]
     order = [int(j) for j in np.argsort(-fit.share) if fit.share[j] > 0]
     terms = [(ahead.terms[j], float(fit.coefficients[j])) for j in order]
@@ -129,17 +90,6 @@ def corrected(physics: Physics, terms: list[tuple[Term, float]], theta: np.ndarr
     ahead = Ahead(physics, [term for term, _ in terms])
     step = ahead.step([c for _, c in terms])
     return physics._replace(params=ahead.params(theta), step=step, extension=None, origin=None)
-
-
-def size_of(name: str, term: Term, c: float, physics: Physics, nominal: Physics) -> float | None:
-    """The size of an effect by the coefficient of its term, where the term is its law; physics: with the terms."""
-    if name == "input_offset":
-        points, n = extension_of(nominal).points, len(nominal.states)
-        gain = jax.jacobian(points.derivative, 2)(physics.params, jnp.ones(n), jnp.ones(len(nominal.inputs)))
-        return c / float(gain[term.equation, 0]) if gain[term.equation, 0] else None
-    if name == "bypass":
-        return c / (c + float(physics.params["k3"]))  # of the whole pump flow
-    return {"inflow": c}.get(name, -c) if (name, term.shape) in _LAWS else None
 
 
 def unmeasured(physics: Physics) -> list[str]:
@@ -189,46 +139,6 @@ def _simulated(case: Case) -> np.ndarray:
         return np.stack(levels(Rig(**numbers), u, starts[0]))
     still = np.zeros((2, case.train.u.shape[1]))
     return bench.simulate(_PLANTS[case.system], numbers, np.stack([u, u]), np.array(starts).T, still)[0].T
-
-
-def library(physics: Physics, data: Data) -> list[Term]:
-    """Those of every equation whose state is no mere integral of another one."""
-    n, rates = len(physics.states), {state.rate_of: i for i, state in enumerate(physics.states)}
-    signals, found = [*physics.states, *physics.inputs], []
-    points = extension_of(physics).points
-    slopes = jax.vmap(jax.jacobian(points.derivative, 1), (None, 1, 1))
-    acts = np.abs(np.asarray(slopes(physics.params, data.z[:n], data.z[n:]))).max(0) > 0
-    for i in range(n):
-        if signals[i].name in rates:
-            continue
-        near = [k for k in range(n) if k == i or acts[i, k] or signals[i].rate_of in (signals[k].name, "")]
-        used = [*near, *range(n, len(signals))]
-        roles = {k: "input" if k >= n else "rate" if signals[k].rate_of else "level" for k in used}
-        roles |= {k: "position" for k in used if signals[k].name in rates}
-        found.append(Term(i, "", "1", f"1 in {signals[i].name}'", lambda z: jnp.ones_like(z[0])))
-        for order in (1, 2, 3):
-            for several in combinations_with_replacement(used, order):
-                alone, text = len(set(several)) == 1, " ".join(signals[k].name for k in several)
-                shape = ("z" if order == 1 else f"z^{order}") if alone else ""
-                value = partial(_product, several)
-                found.append(Term(i, roles[several[0]] if alone else "", shape, f"{text} in {signals[i].name}'", value))
-        for k in used:
-            crosses = data.z[k].min() < 0.0 < data.z[k].max()
-            for shape in ("sign(z)", "|z|z") if crosses else ("sqrt(z)",):
-                text = f"{shape.replace('z', signals[k].name)} in {signals[i].name}'"
-                found.append(Term(i, roles[k], shape, text, partial(_BENT[shape], k)))
-    return found
-
-
-def _product(several: tuple[int, ...], z: Values) -> Values:
-    return reduce(mul, (z[k] for k in several))
-
-
-_BENT: dict[str, Callable[[int, Values], Values]] = {
-    "sign(z)": lambda k, z: jnp.sign(z[k]),
-    "|z|z": lambda k, z: jnp.abs(z[k]) * z[k],
-    "sqrt(z)": lambda k, z: jnp.sqrt(jnp.maximum(z[k], 0.0)),
-}
 
 
 class Ahead:
