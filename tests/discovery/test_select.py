@@ -53,6 +53,7 @@ def found(problem: Problem, energies: Mapping[str, float], p_value: Mapping[str,
     screened = remembered(screen, lambda line: None)
     selection = select(problem, neutral(problem), Criteria(), screened)
     assert set(selection.screenings) == set(selection.final.estimate.active)
+    assert selection._replace(noise=0.04).floor == pytest.approx(0.2)  # a deviation of a variance
     return " ".join(k for k, name in letters.items() if name in selection.final.estimate.active)
 
 
