@@ -139,7 +139,7 @@ def _small_discovery(discover: Callable[..., Any]) -> Callable[..., Any]:
             setup = set_up(physics, train, test, DiscoverySettings(), training_settings("pg_rssnn"), notify=print)
             check_setup(setup)
             return SimpleNamespace(physics=physics)
-        return discover(physics, train, test, **named, **_CHEAP, quiet=True)
+        return discover(physics, train, test, **{**named, **_CHEAP}, quiet=True)
 
     return small
 
