@@ -37,7 +37,7 @@ ROOMS = (
     *("physics", "effects", "training/metrics.py", "models/rollout.py"),
     *(f"discovery/{name}.py" for name in ("settings", "select", "verdict", "null", "likelihood")),
 )
-SECONDS = int(4 * BUDGET)  # of processor time: a mutant whose tests need more is killed
+SECONDS = int(10 * BUDGET)  # of processor time: a mutant whose tests need more is killed
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 
 
