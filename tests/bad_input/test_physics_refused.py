@@ -101,6 +101,7 @@ BUILT = {
         lambda: pg.physics.arm(position_min=5.0, position_max=1.0),
         "position_max: expected more than",
     ),
+    "a gravity by its names": (lambda: pg.physics.arm(gravity={"z": -9.81}), "gravity: expected three numbers in m/s²"),
     "an arm that runs backwards": (lambda: pg.physics.arm(dt=-0.1), "dt: expected a positive sample time"),
 }
 
