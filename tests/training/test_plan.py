@@ -166,7 +166,7 @@ def test_own_data_takes_the_kernel_where_there_is_one_and_benchmarks_keep_xla(mo
     assert plan(recurrence="auto").mapping.how == "loop"
     for name, recipe in RECIPES.items():
         for discovered in (False, True):
-            assert "recurrence" not in recipe.settings(discovered=discovered), name
+            assert recipe.settings(discovered=discovered)["recurrence"] == "xla", name
 
 
 @pytest.mark.parametrize(
