@@ -60,9 +60,11 @@ GOALS = (
     Goal(
         "LGSSM epoch, 50 members: than fifty epochs of it", "lgssm" + _TWO, _EPOCH, "epoch, 50 members", 50, 100, True
     ),
-    Goal("the same, 1 member without the C++ kernels", "tanks" + _TWO, _EPOCH, "epoch, 1 member" + XLA, 1, None, True),
-    Goal("the same, 10 members", "tanks" + _TWO, _EPOCH, "epoch, 10 members" + XLA, 10, None, True),
-    Goal("the same, LGSSM, 50 members", "lgssm" + _TWO, _EPOCH, "epoch, 50 members" + XLA, 50, None, True),
+    Goal(
+        "tanks epoch, 1 member, without the C++ kernels", "tanks" + _TWO, _EPOCH, "epoch, 1 member" + XLA, 1, None, True
+    ),
+    Goal("tanks epoch, 10 members, without them", "tanks" + _TWO, _EPOCH, "epoch, 10 members" + XLA, 10, None, True),
+    Goal("LGSSM epoch, 50 members, without them", "lgssm" + _TWO, _EPOCH, "epoch, 50 members" + XLA, 50, None, True),
     Goal(
         "arm epoch, stopped gradient, over Pinocchio's C++, one core",
         "arm" + _ONE,
