@@ -133,7 +133,7 @@ def test_the_first_fit_is_better_than_the_physics(tmp_path, monkeypatch):
 def test_the_own_system_is_predicted_better_than_by_its_physics(tmp_path, monkeypatch):
     said = run("02", tmp_path, monkeypatch)
     assert said["scores"]["physics and network"] < 0.5 * said["scores"]["engineer's model"]
-    assert 0.7 <= said["inside"].mean() <= 1.0
+    assert 0.6 <= said["inside"].mean() <= 1.0
     assert said["tried"].left_out_nrmse.iloc[0] == said["tried"].left_out_nrmse.min()
 
 
