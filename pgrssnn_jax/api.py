@@ -235,9 +235,9 @@ def read_csv(path: str | Path, physics: Physics, *, start: Start = "unknown") ->
 def read_physics(path: str | Path, physics: Physics | None = None, *, effects: Sequence[Effect] = ()) -> Physics:
     """The physics that a discovery or a training run left in its folder, with its numbers and effects.
 
-    path: the folder, or its `discovery.json` or `physics.json`; physics: of one's own, as the run was given it, None
-    for one of the library; effects: of one's own. Raises `ValueError` where there is none, or that of another
-    physics."""
+    path: the folder, or its `discovery.json` or `physics.json`; physics: your own physics, built as for that run, None
+    for a physics of the library; effects: your own effects. Raises `ValueError` for a folder without a stored physics,
+    and for an own physics whose signals or parameters differ."""
     check_kind("path", path, str | Path, "the name of a folder")
     given = Path(path)
     names = (given / name for name in ("discovery.json", "physics.json"))

@@ -18,6 +18,7 @@ import pgrssnn_jax as pg
 EXAMPLES = ROOT / "examples"
 NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
 LARGEST = 300_000  # bytes
+FOREIGN = "/".join(("", "home", "somebody", "data.csv"))  # a path of one machine
 each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
@@ -101,7 +102,7 @@ def test_executing_stores_what_a_reader_sees_alone(tmp_path, execute):
     assert path.read_bytes() == first
 
 
-@pytest.mark.parametrize("line", ["import os; print('/home/me/data.csv')", "import warnings; warnings.warn('old')"])
+@pytest.mark.parametrize("line", [f"print('{FOREIGN}')", "import warnings; warnings.warn('old')"])
 def test_what_belongs_to_one_machine_is_not_stored(line, execute):
     kind = "stderr" if "warn" in line else "stdout"
     output = nbformat.v4.new_output("stream", name=kind, text=line)
@@ -133,7 +134,7 @@ def test_the_first_fit_is_better_than_the_physics(tmp_path, monkeypatch):
 def test_the_own_system_is_predicted_better_than_by_its_physics(tmp_path, monkeypatch):
     said = run("02", tmp_path, monkeypatch)
     assert said["scores"]["physics and network"] < 0.5 * said["scores"]["engineer's model"]
-    assert 0.6 <= said["inside"].mean() <= 1.0
+    assert 0.7 <= said["inside"].mean() <= 1.0
     assert said["tried"].left_out_nrmse.iloc[0] == said["tried"].left_out_nrmse.min()
 
 

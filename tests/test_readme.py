@@ -129,18 +129,17 @@ def test_the_tutorial_and_the_readme_show_the_same_physics():
     assert saved_block(DOCS / "tutorial.md", "my_physics.py") == EXAMPLE
 
 
-QUICK_PAGES = (DOCS / "catalogue.md",)
-#: the other pages' commands compose above; run whole, they would take longer than all other slow tests together
-SLOW_PAGES = (README, DOCS / "arms.md", DOCS / "own_system.md", DOCS / "recipe.md")
+CODE = [page for page in PAGES if {"python", "bash"} & {language for language, _ in blocks(page)}]
+QUICK_PAGES = ("catalogue",)
 
 
 @pytest.mark.parametrize(
-    "page", [*QUICK_PAGES, *(pytest.param(page, marks=pytest.mark.slow) for page in SLOW_PAGES)],
+    "page", [page if page.stem in QUICK_PAGES else pytest.param(page, marks=pytest.mark.slow) for page in CODE],
     ids=lambda page: f"{page.parent.name}_{page.stem}",
 )  # fmt: skip
 def test_every_block_runs_as_printed(page, tmp_path, monkeypatch):
     furnish(tmp_path, page)
-    before = PAGES[: PAGES.index(page) + (page == README)]  # of the README the Python alone
+    before = PAGES[: PAGES.index(page)]
     said = run_page(page, tmp_path, monkeypatch, {line for other in before for line in lines_of(other)})
     if page == README:
         assert said["found"].verdict in set(Verdict)

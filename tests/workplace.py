@@ -1,7 +1,6 @@
 """What the pages take for granted: files of one's own, a physics, an effect, a robot and its log, and finished runs."""
 
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +105,7 @@ def _robot() -> str:
 
 
 def _finished_runs(folder: Path) -> None:
-    """runs/tanks, with a discovery in it, and runs/pendulum."""
+    """runs/tanks and runs/pendulum, and a discovery on the tanks in runs/found."""
     tanks, own = ["+experiment=cascaded_tank"], ["physics._target_=my_physics.pendulum", "data=csv"]
     files = ["data.train=A.csv", "data.test=B.csv"]
     for script, given, name in (
@@ -114,5 +113,3 @@ def _finished_runs(folder: Path) -> None:
     ):  # fmt: skip
         code, _, err = called(*given, *budget(script, given), f"hydra.run.dir=runs/{name}", cwd=folder, script=script)
         assert code == 0, err
-    shutil.move(folder / "runs/found/discovery.json", folder / "runs/tanks/discovery.json")
-    shutil.rmtree(folder / "runs/found")

@@ -100,7 +100,7 @@ def torques(sequences: int, samples: int) -> np.ndarray:
 
 
 def training_call(fit: Fit, data: MemberData, count: int, mapping: MemberMapping | None = None) -> tuple[Any, ...]:
-    """A jitted chunk of epochs of `count` members, and its arguments; mapping: None for the one that is chosen."""
+    """A jitted chunk of epochs of `count` members, and its arguments; mapping: None takes that of `choose_mapping`."""
     native = fit.objective.route == "native"
     mapping = mapping or choose_mapping(count, data.train.u.shape[0], jax.device_count(), native=native)
     members = repeat(data, count)

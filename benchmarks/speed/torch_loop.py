@@ -23,14 +23,24 @@ Step = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 class Networks(nn.Module):
-    """What both forms share. step(x, u) -> x and measure(x, u) -> y: the physics, for `[seq, x]` and `[..., x]`."""
+    """What both forms share; each gives its own recurrence, cells or a whole GRU, under the name of its field.
 
-    def __init__(self, model: Model, params: ModelParams, step: Step, measure: Step, dtype: torch.dtype) -> None:
+    step(x, u) -> x and measure(x, u) -> y: the physics, for `[seq, x]` and `[..., x]`.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        params: ModelParams,
+        step: Step,
+        measure: Step,
+        dtype: torch.dtype,
+        **recurrence: nn.Module,
+    ) -> None:
         super().__init__()
         spec, n_h = model.spec, model.spec.hidden
         n_u, n_x, n_y = len(model.physics.inputs), model.n_x, len(model.physics.outputs)
         self.step, self.measure, self.correction = step, measure, spec.correction
-        self.hidden, self.layers = n_h, spec.gru_layers
         self.features_u = two_dense(n_u, n_h, n_h)
         self.mixer = two_dense(2 * n_h, n_h, n_h)
         self.head_x = two_dense(n_h, n_h, n_x)
@@ -39,12 +49,10 @@ class Networks(nn.Module):
         for name, affine in params.scaling._asdict().items():
             self.register_buffer(f"{name}_offset", torch.tensor(np.asarray(affine.offset)))
             self.register_buffer(f"{name}_scale", torch.tensor(np.asarray(affine.scale)))
-        self.build_gru(spec.gru_bias)
+        for name, module in recurrence.items():
+            self.add_module(name, module)
         self.load_state_dict(weights(params), strict=False)
         self.to(dtype)
-
-    def build_gru(self, bias: bool) -> None:
-        raise NotImplementedError
 
     def g_nn(self, scaled_u: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
         scaled_x = (x - self.x_offset) / self.x_scale
@@ -54,11 +62,13 @@ class Networks(nn.Module):
 class Loop(Networks):
     """Everything in the loop, one step of all networks per sample."""
 
-    def build_gru(self, bias: bool) -> None:
-        self.cells = nn.ModuleList(nn.GRUCell(self.hidden, self.hidden, bias=bias) for _ in range(self.layers))
+    def __init__(self, model: Model, *rest: Any) -> None:
+        n_h, bias = model.spec.hidden, model.spec.gru_bias
+        cells = nn.ModuleList(nn.GRUCell(n_h, n_h, bias=bias) for _ in range(model.spec.gru_layers))
+        super().__init__(model, *rest, cells=cells)
 
     def forward(self, u: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
-        h = [x.new_zeros(len(x), self.hidden) for _ in range(self.layers)]
+        h = [x.new_zeros(len(x), cell.hidden_size) for cell in self.cells]
         outputs = []
         for t in range(u.shape[1]):
             u_t = u[:, t]
@@ -76,8 +86,10 @@ class Loop(Networks):
 class Batched(Networks):
     """Only the physics in a Python loop."""
 
-    def build_gru(self, bias: bool) -> None:
-        self.gru = nn.GRU(self.hidden, self.hidden, self.layers, bias=bias, batch_first=True)
+    def __init__(self, model: Model, *rest: Any) -> None:
+        n_h, spec = model.spec.hidden, model.spec
+        gru = nn.GRU(n_h, n_h, spec.gru_layers, bias=spec.gru_bias, batch_first=True)
+        super().__init__(model, *rest, gru=gru)
 
     def forward(self, u: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
         scaled = (u - self.u_offset) / self.u_scale

@@ -70,7 +70,7 @@ def _open(discovery: Discovery) -> Iterator[str]:
         yield f"{percent(max(share, 0.0))} of the gap between recalibrated physics and noise."
     if math.isfinite(after):
         noise = f"; the noise is about {number(floor, unit)}" if math.isfinite(floor) else ""
-        yield f"Test {metric} {number(after, unit)} with all that was found{noise}."
+        yield f"Test {metric} {number(after, unit)} with the discovered effects{noise}."
     if where:
         yield f"Most of it: {where}."
 
@@ -81,7 +81,7 @@ def _next(discovery: Discovery) -> Iterator[str]:
     for row in discovery.get("alternatives") or ():
         experiments.setdefault(str(row.get("experiment") or "another record"), []).append(str(row["name"]))
     for experiment, names in experiments.items():
-        yield f"To tell {', '.join(names)} apart from what was found: {experiment}."
+        yield f"To tell {', '.join(names)} apart from the discovered effects: {experiment}."
     reasons: dict[str, list[str]] = {}
     for row in discovery.get("untestable") or ():
         reasons.setdefault(str(row.get("reason") or "no reason given"), []).append(str(row["name"]))

@@ -1,4 +1,4 @@
-"""Signals and their panels: an output measured and predicted, and what is left over."""
+"""Signals and their panels: an output measured and predicted, and the residual."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -67,8 +67,8 @@ def rows_of(count: int) -> int:
 
 
 def draw_pairs(figure: Figure, signals: Signals, shown: tuple[int, int], ratios: Sequence[float]) -> list[list[Axes]]:
-    """For each output its panels, one below the other: measured and predicted, what is left over, and as many empty
-    ones as there are further `ratios`. The first two share their time."""
+    """The panels of each output, one below the other: measured and predicted, residual, and an empty panel for each
+    further height in `ratios`. The first two share their time axis."""
     count, cut = len(signals.outputs), signals.cut(*shown)
     columns, rows = min(count, 2), rows_of(count)
     # Every other row and column of the grid is room between the outputs.

@@ -1,4 +1,4 @@
-"""The prediction figure: measured against predicted, and what is left over, for the first test sequence.
+"""The prediction figure: measured against predicted, and the residual, for the first test sequence.
 
 A record too long to read is shown through a window of stated range, with the residual of the whole record under it.
 """

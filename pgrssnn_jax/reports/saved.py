@@ -44,10 +44,10 @@ def load(
 ) -> Ensemble:
     """The trained members of a run folder; needs neither its data nor anything outside it.
 
-    physics: your own physics, as it was given to training; its names, units and shapes are checked against the folder,
-    and a changed source warns. trust: modules from which the folder's physics may be imported instead. effects: your
-    own ones, as they were given to the discovery. partial: also a run that has not finished. Raises `ValueError` for a
-    folder that holds no finished run, for a physics that is missing or another one, and for damaged files.
+    physics: your own physics, built as for training. Its names, units and shapes must equal those in the folder; a
+    changed source warns. trust: modules from which the physics may be imported instead. effects: your own effects that
+    the discovery added. partial: True reads an unfinished run too. Raises `ValueError` for a folder without a finished
+    run, for a missing or different physics, and for damaged files.
     """
     check_kind("run folder", folder, str | Path, "the name of a folder")
     run = RunFolder(Path(folder))

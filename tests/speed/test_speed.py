@@ -130,7 +130,7 @@ def test_the_benchmark_runs(part, tmp_path):
             median, low, high = figures["ms"]
             assert 0 < low <= median <= high
             if "roof" in figures:
-                assert figures["roof"]["reached"] > 0
+                assert 0 < figures["roof"]["reached"] < 1
 
 
 @pytest.mark.slow

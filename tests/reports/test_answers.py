@@ -1,0 +1,44 @@
+"""The first screen of a discovery's page: four questions, each with its answer."""
+
+import re
+
+import pytest
+from discovery_samples import SAD, TANK
+
+from pgrssnn_jax.reports.answers import answers
+from pgrssnn_jax.reports.pages import discovery_html
+
+
+def test_the_first_screen_answers_what_how_sure_how_much_and_what_next():
+    gap = TANK[0]["gap"] | {"open_fraction": 0.086, "improvement_interval": [0.1, 0.3]}
+    told = TANK[0] | {"gap": gap, "remaining": {"rule": "upper_level above 9 V: 80 % of the error", "region": {}}}
+    told |= {"alternatives": [{"name": "leak_tank1", "gain": 0.4, "experiment": "a step with the pump off"}]}
+    told |= {"undetermined": [{"changes": {"k2": 0.3, "k5": -1.0}, "left": 1.0}]}
+    first, _, _ = discovery_html(told, {}, config_text="", environment={}).partition('<dl class="cards">')
+    text = " ".join(re.sub("<[^>]+>", "", first).split())
+    expected = {
+        "What is missing?": ["spills over", "h = 7.493 ± 0.041 V", "k = 0.01802 ± 0.00060 1/s"],
+        "How sure is it?": [
+            "p = 0.005",
+            "91.4 % by overflow_1to2",
+            "overflow_lost would close 40.2 %",
+            "0.1000 to 0.3000 V",
+        ],
+        "What stays open, and where?": ["8.6 % of the gap", "Most of it: upper_level above 9 V"],
+        "What to measure next?": [
+            "leak_tank1",
+            "a step with the pump off",
+            "The pump never runs below 0.8 V",
+            "k2, k5",
+        ],
+    }
+    for question, lines in expected.items():
+        answer = text.split(question)[1].split("?")[0]
+        assert all(line in answer for line in lines), (question, answer)
+
+
+@pytest.mark.parametrize("name", SAD)
+def test_every_question_has_an_answer(name):
+    for question, lines in answers(SAD[name][0]).items():
+        assert lines, question
+        assert not {"nan", "None"} & set(" ".join(lines).split())
