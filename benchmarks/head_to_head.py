@@ -7,7 +7,8 @@
     tanks   the measured cascaded tanks (`PGRSSNN_DATA`): this project beside published figures
 
 FILE holds a row per case and method, one a line: rows that are in it are not computed again, so an interrupted run goes
-on. It keeps rows of older code: delete it after a change. --page writes the tables of FILE into that page.
+on; --most N ends it after N new rows. It keeps rows of older code: delete it after a change. --page writes the tables
+of FILE into that page.
 """
 
 import argparse
@@ -29,6 +30,7 @@ from hidden.score import FINDINGS, Row
 from hidden.suite import Plan
 from hidden.terms import CAN_NAME, MEANING, size_of
 from scipy.optimize import least_squares
+from speed.tables import replace_between
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.acceleration.devices import keep_compiled
@@ -93,10 +95,7 @@ def main() -> None:
     text = tables(rows)
     print(text)
     if arguments.page:
-        before, _, rest = arguments.page.read_text(encoding="utf-8").partition("<!-- tables -->\n")
-        after = rest.partition("<!-- end of tables -->\n")[2]
-        whole = f"{before}<!-- tables -->\n{text}\n<!-- end of tables -->\n{after}"
-        arguments.page.write_text(whole, encoding="utf-8")
+        replace_between(arguments.page, "<!-- tables -->", "<!-- end of tables -->", f"\n{text}\n")
 
 
 def suite_plans(cases: int, seed: int, systems: list[str]) -> list[Plan]:

@@ -64,7 +64,7 @@ def _figures(method: str, rows: Sequence[Row]) -> tuple[str, ...] | None:
         f"{np.median(left):.2f}",
         f"{100 * np.median([_closed(row) for row in one]):.0f} %",
         share(sum(row["found"] for row in none), len(none)),
-        f"{np.median(seconds):.0f}" if seconds else "–",
+        f"{np.median(seconds):.0f}" if 2 * len(seconds) > len(rows) else "–",
     )
 
 

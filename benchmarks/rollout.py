@@ -70,7 +70,7 @@ def settings(parts: list[str]) -> list[tuple[str, int]]:
         (name, cores)
         for name in names
         for cores in ((1, 2) if name.split(" ")[0] in _BOTH else (2,))
-        if cores <= max(usable(), 1) or cores == 2
+        if cores <= usable()
     ]
 
 

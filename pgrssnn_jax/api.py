@@ -33,7 +33,7 @@ from pgrssnn_jax.discovery.serialise import discovery_arrays, discovery_json
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup, set_up
 from pgrssnn_jax.effects.base import Effect
-from pgrssnn_jax.effects.stored import read_stored, settings_to_json, stored_physics
+from pgrssnn_jax.effects.stored import OF_TRAINING, read_stored, settings_to_json, stored_physics
 from pgrssnn_jax.effects.systems import add_effect as add
 from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
 from pgrssnn_jax.models.spec import ModelSpec, changes_of
@@ -236,13 +236,18 @@ def read_physics(path: str | Path, physics: Physics | None = None, *, effects: S
     """The physics that a discovery or a training run left in its folder, with its numbers and effects.
 
     path: the folder, or its `discovery.json` or `physics.json`; physics: your own physics, built as for that run, None
-    for a physics of the library; effects: your own effects. Raises `ValueError` for a folder without a stored physics,
-    and for an own physics whose signals or parameters differ."""
+    for a physics of the library; effects: your own effects. The settings of training (derivatives, backend) are the
+    builder's defaults. Raises `ValueError` for a folder without a stored physics, and for an own physics of another
+    name or with other parameters."""
     check_kind("path", path, str | Path, "the name of a folder")
+    if physics is not None:
+        check_given(physics)
     given = Path(path)
     names = (given / name for name in ("discovery.json", "physics.json"))
     file = next((file for file in names if file.is_file()), given / "discovery.json") if given.is_dir() else given
-    return restored_physics(read_stored(file, "path"), file, physics=physics, effects=effects)
+    stored = read_stored(file, "path")
+    own = {name: value for name, value in stored["physics"].items() if name not in OF_TRAINING}
+    return restored_physics({**stored, "physics": own}, file, physics=physics, effects=effects)
 
 
 def load_arm_log(

@@ -85,7 +85,7 @@ def _filled(text: str) -> str:
 
 def run_line(line: str, folder: Path) -> None:
     words = shlex.split(line)
-    if words[0] in ("make", "source", "pip", "git", "cd"):  # the installation, which a test of the way in walks
+    if words[0] in ("make", "source", "pip", "git", "cd"):  # the installation
         return
     assert words[0] == "python", line
     script, *given = words[1:]

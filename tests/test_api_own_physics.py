@@ -75,6 +75,15 @@ def test_a_physics_of_the_library_is_read_back_alone(tmp_path):
     assert repr(pg.read_physics(tmp_path)) == repr(tanks)
 
 
+def test_an_arm_is_read_back_with_the_builders_settings_of_training(tmp_path):
+    """A discovery differentiates forwards through the whole gradient; training does not."""
+    stored = physics_to_json(pg.physics.arm(derivatives="forward", physics_gradient="full"))
+    (tmp_path / "discovery.json").write_text(json.dumps(stored))
+    found, usual = pg.read_physics(tmp_path).settings, pg.physics.arm().settings
+    for name in ("derivatives", "physics_gradient", "backend"):
+        assert found[name] == usual[name], name
+
+
 def test_what_is_no_stored_physics_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"path: expected a discovery.json, found '.*discovery.json'"):
         pg.read_physics(tmp_path)

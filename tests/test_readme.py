@@ -68,8 +68,6 @@ def test_every_link_leads_somewhere(page):
         if re.match(r"\w+:", link):
             continue
         path, _, heading = link.partition("#")
-        if path.endswith(".ipynb") and not any(ROOT.glob("examples/*.ipynb")):
-            continue
         there = (page.parent / path).resolve() if path else page
         assert there.exists(), link
         if heading:

@@ -44,90 +44,61 @@ class Goal(NamedTuple):
 
 _TWO, _ONE, _START = ", 2 cores", ", 1 core", "startup, 2 cores"
 _LOOP, _EPOCH, _ALONE = "PyTorch loop, rollout", "PyTorch loop, epoch", "evaluation, Pinocchio's C++ alone, forward"
+_BATCHED = "PyTorch, networks batched over time, epoch"
 _EPOCH_SHARE = 1.0 / (60 * 605 * 4)  # Pinocchio's time for the evaluations of an epoch is this many of one evaluation
 
+
+def _against(loop: str, what: str, system: str, ours: str, goal: float | None, *, members: int = 1) -> Goal:
+    """Times faster than PyTorch, whose members take turns."""
+    return Goal(what, system + _TWO, loop, ours, members, goal, more=True)
+
+
+def _over_pinocchio(what: str, cores: str, ours: str, factor: float, goal: float) -> Goal:
+    return Goal(f"{what}, over Pinocchio's C++{cores}", "arm" + cores, ours, _ALONE, factor, goal)
+
+
+def _seconds(what: str, part: str, figure: str, goal: float) -> Goal:
+    return Goal(f"{what}, s", part, figure, "", 1, goal)
+
+
 GOALS = (
-    Goal(
-        "tanks epoch, 1 member: times faster than the PyTorch loop",
-        "tanks" + _TWO,
-        _EPOCH,
-        "epoch, 1 member",
-        1,
-        600,
-        True,
+    _against(_EPOCH, "tanks epoch, 1 member: times faster than the PyTorch loop", "tanks", "epoch, 1 member", 600),
+    _against(
+        _EPOCH, "tanks epoch, 10 members: than ten epochs of the loop", "tanks", "epoch, 10 members", 2000, members=10
     ),
-    Goal("tanks epoch, 10 members: than ten epochs of it", "tanks" + _TWO, _EPOCH, "epoch, 10 members", 10, 2000, True),
-    Goal(
-        "LGSSM epoch, 50 members: than fifty epochs of it", "lgssm" + _TWO, _EPOCH, "epoch, 50 members", 50, 100, True
+    _against(
+        _EPOCH, "LGSSM epoch, 50 members: than fifty epochs of the loop", "lgssm", "epoch, 50 members", 100, members=50
     ),
-    Goal(
-        "tanks epoch, 1 member, without the C++ kernels", "tanks" + _TWO, _EPOCH, "epoch, 1 member" + XLA, 1, None, True
+    _against(_EPOCH, "tanks epoch, 1 member, without the C++ kernels", "tanks", "epoch, 1 member" + XLA, None),
+    _against(
+        _EPOCH, "tanks epoch, 10 members, without the kernels", "tanks", "epoch, 10 members" + XLA, None, members=10
     ),
-    Goal("tanks epoch, 10 members, without them", "tanks" + _TWO, _EPOCH, "epoch, 10 members" + XLA, 10, None, True),
-    Goal("LGSSM epoch, 50 members, without them", "lgssm" + _TWO, _EPOCH, "epoch, 50 members" + XLA, 50, None, True),
-    Goal(
-        "arm epoch, stopped gradient, over Pinocchio's C++, one core",
-        "arm" + _ONE,
-        "epoch, gradient stopped",
-        _ALONE,
-        _EPOCH_SHARE,
-        1.3,
+    _against(_EPOCH, "LGSSM, 50 members, without the kernels", "lgssm", "epoch, 50 members" + XLA, None, members=50),
+    _against(
+        _BATCHED, "tanks epoch, 1 member: than torch.nn.GRU with batched networks", "tanks", "epoch, 1 member", None
     ),
-    Goal(
-        "arm epoch, full gradient, over Pinocchio's C++, one core",
-        "arm" + _ONE,
-        "epoch, gradient full",
-        _ALONE,
-        _EPOCH_SHARE,
-        2.0,
-    ),
-    Goal(
-        "arm epoch, stopped gradient, over Pinocchio's C++, two cores",
-        "arm" + _TWO,
-        "epoch, gradient stopped",
-        _ALONE,
-        _EPOCH_SHARE,
-        1.3,
-    ),
-    Goal(
-        "arm epoch, full gradient, over Pinocchio's C++, two cores",
-        "arm" + _TWO,
-        "epoch, gradient full",
-        _ALONE,
-        _EPOCH_SHARE,
-        2.0,
-    ),
-    Goal(
-        "arm forward dynamics, float32, over Pinocchio's C++, one core",
-        "arm" + _ONE,
-        "evaluation, jax float32, forward",
-        _ALONE,
-        1,
-        0.40,
-    ),
-    Goal("tanks rollout: times faster than the PyTorch loop", "tanks" + _TWO, _LOOP, "rollout", 1, 500, True),
-    Goal("LGSSM rollout, 50 x 5000", "lgssm" + _TWO, _LOOP, "rollout", 1, 50, True),
-    Goal("arm rollout, 6 x 605", "arm" + _TWO, _LOOP, "rollout", 1, 100, True),
-    Goal(
-        "arm rollout, 6 x 605, than a loop that calls Pinocchio",
-        "arm" + _TWO,
+    _against(_BATCHED, "LGSSM epoch, 50 members: than fifty of it", "lgssm", "epoch, 50 members", None, members=50),
+    _over_pinocchio("arm epoch, stopped gradient", _ONE, "epoch, gradient stopped", _EPOCH_SHARE, 1.3),
+    _over_pinocchio("arm epoch, full gradient", _ONE, "epoch, gradient full", _EPOCH_SHARE, 2.0),
+    _over_pinocchio("arm epoch, stopped gradient", _TWO, "epoch, gradient stopped", _EPOCH_SHARE, 1.3),
+    _over_pinocchio("arm epoch, full gradient", _TWO, "epoch, gradient full", _EPOCH_SHARE, 2.0),
+    _over_pinocchio("arm forward dynamics, float32", _ONE, "evaluation, jax float32, forward", 1, 0.40),
+    _against(_LOOP, "tanks rollout: times faster than the PyTorch loop", "tanks", "rollout", 500),
+    _against(_LOOP, "LGSSM rollout, 50 x 5000: times faster than the loop", "lgssm", "rollout", 50),
+    _against(_LOOP, "arm rollout, 6 x 605: times faster than the loop", "arm", "rollout", 100),
+    _against(
         "PyTorch loop that calls Pinocchio, rollout",
+        "arm rollout, 6 x 605: than a loop that calls Pinocchio",
+        "arm",
         "rollout",
-        1,
         None,
-        True,
     ),
-    Goal("discovery, tanks without network, all compiled, s", _START, "discovery, everything compiled", "", 1, 10),
-    Goal("discovery, tanks without network, nothing compiled, s", _START, "discovery, nothing compiled", "", 1, 25),
-    Goal("import with a first physics, s", _START, "import with a first physics", "", 1, 1.5),
-    Goal("train.py --help, s", _START, "train.py --help", "", 1, 1.0),
-    Goal(
-        "second train.py of one shape until its first epochs, s",
-        _START,
-        "second train.py until its first epochs",
-        "",
-        1,
-        4.0,
+    _seconds("discovery, tanks without network, all compiled", _START, "discovery, everything compiled", 10),
+    _seconds("discovery, tanks without network, nothing compiled", _START, "discovery, nothing compiled", 25),
+    _seconds("import with a first physics", _START, "import with a first physics", 1.5),
+    _seconds("train.py --help", _START, "train.py --help", 1.0),
+    _seconds(
+        "second train.py of one shape until its first epochs", _START, "second train.py until its first epochs", 4.0
     ),
-    Goal("make train from a fresh clone, s", "clone, 2 cores", "make train from a fresh clone", "", 1, 75.0),
+    _seconds("make train from a fresh clone", "clone, 2 cores", "make train from a fresh clone", 75.0),
 )

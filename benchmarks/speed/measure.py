@@ -8,7 +8,6 @@ and "roof".
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from pgrssnn_jax.acceleration.devices import usable_cores
@@ -141,7 +140,3 @@ def _smaller(system: System) -> System:
     """A tenth of the samples, and few members."""
     (sequences, length), (runs, steps) = system.train, system.run
     return system._replace(train=(sequences, max(8, length // 30)), run=(runs, steps // 40), members=2)
-
-
-def devices() -> list[str]:
-    return [str(device) for device in jax.devices()]

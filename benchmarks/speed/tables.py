@@ -1,6 +1,5 @@
 """What was measured as tables: for the terminal, and as Markdown between two marks of a page."""
 
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -93,12 +92,17 @@ def show(found: Mapping[str, Any]) -> None:
 
 def write(found: Mapping[str, Any], page: Path) -> None:
     """Ratios, roof and machine into a page, between its marks. Raises `ValueError` where it has none."""
-    text = page.read_text(encoding="utf-8")
-    if _BEGIN not in text or _END not in text:
-        raise ValueError(f"{page}: expected the lines {_BEGIN} and {_END}, found none")
     parts = [markdown(title, rows) for title, rows in list(tables(found))[:3] if len(rows) > 1]
-    new = "\n\n".join([_BEGIN, *parts, _END])
-    page.write_text(re.sub(f"{_BEGIN}.*{_END}", lambda _: new, text, flags=re.DOTALL), encoding="utf-8")
+    replace_between(page, _BEGIN, _END, "\n\n".join(["", *parts, ""]))
+
+
+def replace_between(page: Path, begin: str, end: str, text: str) -> None:
+    """The part of a page between two lines becomes `text`. Raises `ValueError` for a page without these lines."""
+    before, first, rest = page.read_text(encoding="utf-8").partition(begin)
+    _, last, after = rest.partition(end)
+    if not first or not last:
+        raise ValueError(f"{page}: expected the lines {begin} and {end}, found none")
+    page.write_text(f"{before}{begin}{text}{end}{after}", encoding="utf-8")
 
 
 def markdown(title: str, rows: Rows) -> str:

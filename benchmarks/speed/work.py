@@ -25,7 +25,7 @@ _ARITHMETIC = frozenset({
 
 class Work(NamedTuple):
     """flops: floating-point operations; steps: recurrent products that wait for one another; stages: evaluations of
-    the physics that do; product: rows, columns and hidden units of a recurrent product."""
+    the physics that do; product: rows and hidden units of a recurrent product."""
 
     flops: float
     steps: int

@@ -28,7 +28,6 @@ PAGES = {
     "pgrssnn_jax/effects": "reference/effects.md",
     "pgrssnn_jax/effects/base.py": "reference/effects.md",
 }
-TEXTS = {".py", ".yaml", ".toml", ".cff", ""}  # shown as they are; a folder as the list of its files
 LINK = re.compile(r"(\]\()([^)\s#:]+)(#[^)\s]*)?(\))")
 FENCE = re.compile(r"^(```.*?^```)", flags=re.M | re.S)
 

@@ -35,5 +35,5 @@ def keep_compiled() -> None:
 
 
 def cache_folder() -> Path:
-    """Of this package, for what can be made again."""
+    """Cache folder of this package; its content can be rebuilt."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pgrssnn_jax"

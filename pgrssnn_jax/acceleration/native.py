@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import tempfile
 from functools import cache, partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ _TARGETS = ("gru_forward", "gru_backward", "two_dense_forward", "two_dense_backw
 
 @cache
 def missing_kernels() -> str | None:
-    """None once the kernels are compiled and known to JAX, else why they cannot be had: one phrase."""
+    """Compiles and registers the kernels. Returns None, or the reason why they are not available: one phrase."""
     if jax.default_backend() != "cpu":
         return f"the C++ kernels run on CPUs, and JAX computes on {jax.default_backend()}"
     compiler = next(filter(None, map(shutil.which, filter(None, (os.environ.get("CXX"), *_COMPILERS)))), None)
@@ -44,18 +45,20 @@ def missing_kernels() -> str | None:
             handler = jax.ffi.pycapsule(getattr(library, f"pgrssnn_{name}"))
             jax.ffi.register_ffi_target(f"pgrssnn_{name}", handler, platform="cpu")
     except subprocess.CalledProcessError as error:
-        return f"{compiler} does not compile the C++ kernels: {error.stderr.strip().partition(os.linesep)[0]}"
-    except (OSError, subprocess.TimeoutExpired) as error:
+        lines = error.stderr.splitlines()
+        said = next((line for line in lines if "error" in line), f"exit code {error.returncode}")
+        return f"{compiler} does not compile the C++ kernels: {said.strip()}"
+    except (OSError, AttributeError, RuntimeError, subprocess.TimeoutExpired) as error:
         return f"the C++ kernels cannot be compiled or loaded: {error}"
     return None
 
 
 def _compiled(compiler: str) -> Path:
-    """The library for these sources, compiler, processor and JAX, compiled if the user's cache folder lacks it."""
-    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=True, timeout=_PATIENCE)
+    """The library for these sources, compiler, processor and jaxlib, compiled if the user's cache folder lacks it."""
+    version = _run([compiler, "--version"])
     files = sorted(_KERNELS.iterdir())
     texts = [file.read_text() for file in files if file.suffix in (".cc", ".h")]
-    parts = (*texts, version.stdout, jax.__version__, *_FLAGS, _processor())
+    parts = (*texts, version, metadata.version("jaxlib"), *_FLAGS, _processor())
     name = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
     library = cache_folder() / "native" / f"kernels-{name}.so"
     if library.exists():
@@ -66,9 +69,15 @@ def _compiled(compiler: str) -> Path:
         made = Path(folder) / library.name
         include = ("-isystem", jax.ffi.include_dir())
         command = [compiler, *_FLAGS, *include, "-shared", "-fPIC", *sources, "-o", str(made)]
-        subprocess.run(command, capture_output=True, text=True, check=True, timeout=_PATIENCE)
+        _run(command)
         made.replace(library)
     return library
+
+
+def _run(command: list[str]) -> str:
+    """Its output. Raises `CalledProcessError` where it fails."""
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=True, timeout=_PATIENCE)
+    return done.stdout
 
 
 def _processor() -> str:

@@ -58,7 +58,7 @@ def register() -> None:
     for name, recipe in RECIPES.items():
         store.store(name, {**_nested(recipe), "recipe": name}, group="recipe", package="_global_")
     for name in ("own", "auto", "default"):  # own: `auto` for data of one's own, `default` for those of a benchmark
-        store.store(name, {"members": _nested(DEFAULT)["members"], "recipe": name}, group="recipe", package="_global_")
+        store.store(name, {"recipe": name}, group="recipe", package="_global_")
 
 
 def _chosen(with_effects: Any, without: Any, *, _root_: Container) -> Any:

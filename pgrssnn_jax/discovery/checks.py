@@ -33,11 +33,9 @@ def check_physics(setup: Setup) -> None:
 
 
 def check_effects_of_motion(setup: Setup, motion: Motion) -> None:
-    """Raises `ValueError` as `neutral.check_neutral` along a measured motion."""
-    own = setup.own_effects
-    if own:
-        x = np.concatenate([motion.reading, motion.v], -1)
-        check_neutral(setup.physics, own, *(a.reshape(-1, a.shape[-1]) for a in (x, motion.torque)))
+    """Raises `ValueError` for an own effect that changes the physics at neutral numbers, along a measured motion."""
+    x = np.concatenate([motion.reading, motion.v], -1)
+    check_neutral(setup.physics, setup.own_effects, *(a.reshape(-1, a.shape[-1]) for a in (x, motion.torque)))
 
 
 def _check_free_run(

@@ -2,8 +2,7 @@
 
     step(p, x, u) and measure(p, x, u) with the effect = those without it        at states and inputs of the record
 
-Discovery compares models with and without an effect: one that acts at its neutral numbers too would pass for missing
-physics, or be refused for what it does not say.
+Discovery compares models with and without an effect, and takes the model at the neutral numbers for the one without.
 """
 
 from collections.abc import Sequence
@@ -27,17 +26,19 @@ def check_neutral(
     """Raises `ValueError` for an effect that changes a step or a reading of the physics at its neutral numbers.
 
     x: states before inputs u."""
+    if not effects:
+        return
     few = slice(None, None, -(-len(x) // _SAMPLES))
     with jax.enable_x64(True):
         x, u = np.asarray(x[few], np.float64), np.asarray(u[few], np.float64)
-        expected = _steps(physics, x, u) if effects else x
-        largest = np.abs(expected).max(0)
+        expected = _steps(physics, x, u)
+        largest = np.abs(expected).max(0) + np.finfo(np.float32).tiny
         signals = (*physics.states, *physics.outputs)
         for effect in effects:
             changed = add(physics, effect)
             start = np.asarray(first_output_state(changed, expected[:, x.shape[1] :], u))
             found = _steps(changed, np.concatenate([x, start[:, x.shape[1] :]], 1), u, len(physics.states))
-            moved = np.nan_to_num(np.abs(found - expected), nan=np.inf)
+            moved = np.nan_to_num(np.abs(found - expected), nan=np.inf, posinf=np.inf)
             wrong = (moved > _EQUAL * largest).any(0)
             if wrong.any():
                 k = int(np.argmax(wrong))

@@ -69,7 +69,7 @@ class DiscoverySettings:
     draws: int = 1000  # of the null, at most; long records get fewer, but enough for p_value
     seed: int = 0  # of its random numbers
     network_epochs: int = 200  # of the PG-RSSNN that is trained on the old and the new physics; 0: none
-    accelerate: bool = True  # False: without the tricks of `pgrssnn_jax.acceleration`, slower, equal results
+    accelerate: bool = True  # False: without the speed-ups of `pgrssnn_jax.acceleration`, slower, equal results
 
     def __post_init__(self) -> None:
         checks = {"starts": 1, "folds": 2, "block": 2, "n_init": 1, "steps": 1, "most": 1, "draws": 99, "seed": 0}

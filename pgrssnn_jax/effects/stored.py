@@ -9,7 +9,7 @@ import inspect
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -103,8 +103,25 @@ def check_keys(found: Any, where: str) -> None:
 
 
 def source_digest(physics: Physics) -> str | None:
-    """The first 12 hexadecimal digits of the SHA-256 of the source of the physics; None where there is none."""
-    function = physics.origin.source if physics.origin and physics.origin.source else physics.step
+    """The first 12 hexadecimal digits of the SHA-256 of the source of the physics; None where there is none.
+
+    Its source is that of the function of a module that built it, so that a command and Python agree."""
+    function = _source(physics)
+    module = sys.modules.get(getattr(function, "__module__", ""))
+    outermost = getattr(function, "__qualname__", "").partition(".<locals>")[0]
+    return _digest(getattr(module, outermost, function))
+
+
+def has_source(physics: Physics, digest: str | None) -> bool:
+    """Is it the digest of this physics, or that of its inner function, which earlier versions stored?"""
+    return digest in (source_digest(physics), _digest(_source(physics)))
+
+
+def _source(physics: Physics) -> Callable[..., Any]:
+    return physics.origin.source if physics.origin and physics.origin.source else physics.step
+
+
+def _digest(function: Callable[..., Any]) -> str | None:
     try:
         return hashlib.sha256(inspect.getsource(function).encode()).hexdigest()[:12]
     except (OSError, TypeError):

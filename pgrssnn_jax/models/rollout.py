@@ -47,8 +47,8 @@ def rollout(
     The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
     leaves the floating-point range does not raise; it is reported in `first_bad`. valid (`records.valid_mask`): where
     it is False the state is held, so that padding can neither fail nor spoil a gradient. Raises `ValueError` for an
-    unknown route or one that is not to be had, if another than `fused` is asked of a model with feedback, and for
-    shapes that are not those of the model.
+    unknown or unavailable route, for another route than `fused` with a feedback model, and for shapes other than the
+    model's.
     """
     if route not in (None, "fused", "split", "native"):
         raise ValueError(f"rollout: route: expected 'fused', 'split', 'native' or None, found {route!r}")

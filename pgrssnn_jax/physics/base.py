@@ -21,6 +21,7 @@ from jaxtyping import Float
 from pgrssnn_jax.physics.integrate import DerivativePoints, Integrator, derivative_points, held
 from pgrssnn_jax.physics.signals import Parameter, Signal, check_number, checked_signals, is_parameter, written
 from pgrssnn_jax.records.arguments import check_kind, positive, shown
+from pgrssnn_jax.records.units import with_unit
 
 Params = Any
 OutputTiming = Literal["after_step", "before_step"]
@@ -115,7 +116,7 @@ class Physics(NamedTuple):
         """What a person asks of a physics, a line each: its signals with their units, and its numbers."""
         lines = [f"Physics {self.name!r}, one sample every {self.dt:g} s"]
         for what in ("inputs", "states", "outputs"):
-            lines.append(f"  {what}: " + ", ".join(f"{s.name} ({s.unit or '–'})" for s in getattr(self, what)))
+            lines.append(f"  {what}: " + ", ".join(with_unit(s.name, s.unit) for s in getattr(self, what)))
         meanings = jax.tree.leaves(self.parameters, is_leaf=is_parameter)
         numbers = [
             f"{jax.tree_util.keystr(path, simple=True, separator='.')} = {written(value)} {meaning.unit}".rstrip()

@@ -81,7 +81,7 @@ def checked_span(where: str, given: Any) -> tuple[float, float]:
 
 
 def written(value: Any) -> str:
-    """A number, or several, in four digits; what a compiler traces as it says itself."""
+    """A number or an array in four digits; a traced value as JAX prints it."""
     if isinstance(value, Tracer):
         return str(value)
     return f"{float(value):.4g}" if np.ndim(value) == 0 else f"[{', '.join(map(written, np.asarray(value)))}]"

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
 
+from pgrssnn_jax.records.units import with_unit
+
 Array = jax.Array | np.ndarray
 Start = Literal["unknown", "rest", "shared"]
 
@@ -64,9 +66,7 @@ class Record(NamedTuple):
 
     def __repr__(self) -> str:
         """What a person asks of a record: how much, of what, and from where."""
-        columns = [
-            ", ".join(f"{c.name} ({c.unit or '–'})" for c in part) for part in (self.info.inputs, self.info.outputs)
-        ]
+        columns = [", ".join(with_unit(c.name, c.unit) for c in part) for part in (self.info.inputs, self.info.outputs)]
         aside = "" if self.validation is None else f"\n  validation: {_size(self.validation)}"
         source = f"\n  source: {self.info.source}" + (f": {self.info.origin}" if self.info.origin else "")
         return f"Record of {_size(self)}\n  inputs: {columns[0]}\n  outputs: {columns[1]}{aside}{source}"

@@ -30,6 +30,11 @@ _WHOLE = {
 _TOKEN = re.compile(r"\s*(?P<root>sqrt\()?(?P<symbol>[A-Za-zµμ°%]+|1)\)?(?:(?:\^|\*\*)?(?P<power>-?\d+))?\s*")
 
 
+def with_unit(name: str, unit: str | None) -> str:
+    """`name (unit)`, with a dash where there is no unit."""
+    return f"{name} ({unit or '–'})"
+
+
 def conversion(found: str, wanted: str) -> float | None:
     """The factor from one unit to another, None where there is none or a unit is not known."""
     if found == wanted:

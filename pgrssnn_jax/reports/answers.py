@@ -45,11 +45,12 @@ def _certainty(discovery: Discovery) -> Iterator[str]:
         if effect.get("p_value") is not None:
             by_chance.setdefault(facts.chance(effect["p_value"]), []).append(str(effect["name"]))
     for p, names in by_chance.items():
-        yield f"p = {p} that chance does as well: {', '.join(names)}."
-    gains = sorted(((facts.real(effect.get("gain_test")), str(effect["name"])) for effect in effects), reverse=True)
-    closed = [f"{percent(gain)} by {name}" for gain, name in gains if math.isfinite(gain)]
+        yield f"p = {p}, the probability of such a gain when nothing is missing: {', '.join(names)}."
+    gains = [(facts.real(effect.get("gain_test")), str(effect["name"])) for effect in effects]
+    known = sorted((one for one in gains if math.isfinite(one[0])), reverse=True)
+    closed = [f"{percent(gain)} by {name}" for gain, name in known]
     if closed:
-        yield f"Closed of the gap on test data: {', '.join(closed)}."
+        yield f"Share of the gap closed on test data: {', '.join(closed)}."
     for effect in effects if len(effects) <= _FEW else ():
         if runner := effect.get("runner_up"):
             yield f"In place of {effect['name']}, {runner['name']} would close {percent(runner.get('gain'))}."
@@ -59,7 +60,8 @@ def _certainty(discovery: Discovery) -> Iterator[str]:
         yield f"The test {metric} falls by {number(low)} to {number(high, unit)} (95 %) below the recalibrated physics."
     threshold = (discovery.get("null") or {}).get("threshold")
     if threshold is not None and not effects:
-        yield f"An effect would have to take away {percent(threshold)} of the error energy: chance reaches as much."
+        least = percent(threshold)
+        yield f"An effect counts only if it removes more than {least} of the error energy, which chance can reach."
 
 
 def _open(discovery: Discovery) -> Iterator[str]:
@@ -77,11 +79,12 @@ def _open(discovery: Discovery) -> Iterator[str]:
 
 def _next(discovery: Discovery) -> Iterator[str]:
     """Experiments that tell effects apart, effects that these data cannot test, parameters that they leave open."""
-    experiments: dict[str, list[str]] = {}
+    experiments: dict[tuple[str, str], list[str]] = {}
     for row in discovery.get("alternatives") or ():
-        experiments.setdefault(str(row.get("experiment") or "another record"), []).append(str(row["name"]))
-    for experiment, names in experiments.items():
-        yield f"To tell {', '.join(names)} apart from the discovered effects: {experiment}."
+        key = str(row.get("instead_of") or "the discovered effects"), str(row.get("experiment") or "another record")
+        experiments.setdefault(key, []).append(str(row["name"]))
+    for (found, experiment), names in experiments.items():
+        yield f"To distinguish {', '.join(names)} from {found}: {experiment}."
     reasons: dict[str, list[str]] = {}
     for row in discovery.get("untestable") or ():
         reasons.setdefault(str(row.get("reason") or "no reason given"), []).append(str(row["name"]))
@@ -90,8 +93,9 @@ def _next(discovery: Discovery) -> Iterator[str]:
     unsure = dict.fromkeys(name for row in discovery.get("undetermined") or () for name in row["changes"])
     if unsure:
         yield f"Richer inputs, to determine {', '.join(unsure)}."
-    where: Mapping[str, Any] = discovery.get("remaining") or {}
-    if discovery["verdict"] in ("unknown_effect", "unexplained") and where.get("rule"):
-        yield f"More samples where the errors are: {', '.join(where.get('region') or ())}."
-    if not (experiments or reasons or unsure):
+    region: Mapping[str, Any] = (discovery.get("remaining") or {}).get("region") or {}
+    unexplained = discovery["verdict"] in ("unknown_effect", "unexplained") and region
+    if unexplained:
+        yield f"More samples where the errors are: {', '.join(region)}."
+    if not (experiments or reasons or unsure or unexplained):
         yield "These data test every effect of the catalogue and tell them apart."

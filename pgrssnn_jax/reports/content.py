@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from pgrssnn_jax.records.units import with_unit
+
 Metrics = Mapping[str, Any]
 Number = float | int
 MISSING = "–"
@@ -60,7 +62,8 @@ def percent(share: Number | None) -> str:
     """A share as a percentage with one decimal where that is not zero; large ones without."""
     if share is None or not math.isfinite(share):
         return MISSING
-    return f"{100 * share:.{0 if abs(share) >= 0.9995 else 1}f}".removesuffix(".0") + " %"
+    digits = 0 if abs(share) >= 0.9995 else 1
+    return f"{round(100 * share, digits) + 0.0:.{digits}f}".removesuffix(".0") + " %"  # + 0.0: no -0
 
 
 def duration(seconds: Number | None) -> str:
@@ -93,7 +96,7 @@ def in_unit(unit: Any) -> str:
 
 
 def outputs(metrics: Metrics) -> str:
-    return "outputs: " + ", ".join(f"{o['name']} ({o.get('unit') or MISSING})" for o in metrics["outputs"])
+    return "outputs: " + ", ".join(with_unit(o["name"], o.get("unit")) for o in metrics["outputs"])
 
 
 def heading(metrics: Metrics) -> str:

@@ -40,6 +40,11 @@ class GapRow(NamedTuple):
     low: float
     high: float
 
+    @property
+    def interval(self) -> bool:
+        """Is there one?"""
+        return math.isfinite(self.low + self.high)
+
 
 class Shift(NamedTuple):
     """One number of the physics: nominal, refitted on its own, and at the end, with the missing effects."""

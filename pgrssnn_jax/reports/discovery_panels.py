@@ -83,7 +83,7 @@ def draw_correction(ax: Axes, t: np.ndarray, mean: np.ndarray, std: np.ndarray, 
     band = 2 * np.where(np.isfinite(std), std, 0.0)
     ax.fill_between(t, mean - band, mean + band, color=style.GREEN, alpha=0.22, linewidth=0)
     look: dict[str, Any] = {"color": style.GREEN, "linewidth": 1.3, "gid": "correction", "label": "correction ± 2 std"}
-    ax.plot(t, mean, marker="." if len(t) <= 60 else "", **look)
+    ax.plot(t, mean, marker=style.marker(len(t)), **look)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
     finite = np.isfinite(mean)
     reach = float(np.median(band[finite]))

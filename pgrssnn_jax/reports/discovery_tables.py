@@ -82,7 +82,7 @@ def gap_table(discovery: Discovery) -> Table:
     closed = (discovery.get("gap") or {}).get("closed_fraction")
     rows: list[list[str]] = []
     for row in facts.gap_rows(discovery):
-        span = f"{number(row.low)} .. {number(row.high)}" if math.isfinite(row.low + row.high) else MISSING
+        span = f"{number(row.low)} .. {number(row.high)}" if row.interval else MISSING
         rows.append([f"{row.stage}: {row.words}", number(row.train), number(row.test), span])
     table = _table(f"The gap: {metric}{content.in_unit(unit)}", ("physics", "train", "test", "test interval"), rows)
     return table._replace(footer=[f"{percent(closed)} of the gap closed"] if closed is not None else [])

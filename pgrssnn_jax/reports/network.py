@@ -16,8 +16,8 @@ _BINS = 12  # of equally many samples
 
 
 def network_figure(predictions: Mapping[str, np.ndarray], metrics: Metrics) -> Figure:
-    """Above, the first sequence: what the physics alone leaves over, and what the networks add. Below: the RMS of what
-    they add against the inputs and states with which it changes most, over all sequences."""
+    """Above, the first sequence: the residual of the physics alone, and the output that the networks add. Below: the
+    RMS of that output against the inputs and states with which it changes most, over all sequences."""
     added, mask = panels.finite(predictions["network"]), predictions["mask"]
     mean = panels.finite(predictions["ensemble_mean"])
     if not np.isfinite(mean).any():

@@ -13,21 +13,21 @@ READABLE, WINDOW = 1500, 300  # samples that one panel can show, and of a longer
 
 
 class Curve(NamedTuple):
-    """A prediction `[time, y]`; name: in the legend; gid: of its artists; left_over: colour of its residual, where it
-    has one of its own."""
+    """A prediction `[time, y]`; name: in the legend; gid: of its artists; residual_colour: of its residual,
+    empty: as the curve."""
 
     name: str
     gid: str
     values: np.ndarray
     colour: str
-    left_over: str = ""
+    residual_colour: str = ""
     dash: Any = "-"
 
 
 class Signals(NamedTuple):
     """One sequence: time `[time]` (s), measured `[time, y]`, NaN where nothing was; outputs: `name` and `unit` of each;
-    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve, and its name. An array of no
-    members: neither of them."""
+    members `[member, time, y]`; half_width `[time, y]` of the band around the first curve, and its name. Without
+    members, neither members nor a band are drawn."""
 
     outputs: Sequence[Mapping[str, Any]]
     time: np.ndarray
@@ -46,13 +46,13 @@ class Signals(NamedTuple):
     def label(self, k: int, name: str = "") -> str:
         return style.label(name or str(self.outputs[k]["name"]), self.outputs[k].get("unit"))
 
-    def left(self, k: int, curve: int) -> np.ndarray:
+    def residual(self, k: int, curve: int) -> np.ndarray:
         """Measured minus predicted, `[time]`."""
         return self.measured[:, k] - self.curves[curve].values[:, k]
 
     @property
     def marker(self) -> str:
-        return "." if len(self.time) <= 60 else ""
+        return style.marker(len(self.time))
 
 
 def finite(values: np.ndarray) -> np.ndarray:
@@ -117,11 +117,12 @@ def draw_residuals(ax: Axes, signals: Signals, k: int, *, x: str = "time (s)") -
     measured = signals.measured[:, k]
     _draw_members(ax, signals, k, measured, -1.0)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
-    left = [(curve, signals.left(k, i)) for i, curve in enumerate(signals.curves)]
+    left = [(curve, signals.residual(k, i)) for i, curve in enumerate(signals.curves)]
     left = [(curve, residual) for curve, residual in left if np.isfinite(residual).any()]
     for curve, residual in left:
-        name = f"residual: measured − {curve.name}" if curve.left_over else curve.name
-        look = {"color": curve.left_over or curve.colour, "linewidth": 1.0, "marker": signals.marker, "gid": curve.gid}
+        name = f"residual: measured − {curve.name}" if curve.residual_colour else curve.name
+        colour = curve.residual_colour or curve.colour
+        look = {"color": colour, "linewidth": 1.0, "marker": signals.marker, "gid": curve.gid}
         ax.plot(signals.time, residual, label=name, **look)
     ax.margins(x=0.01)
     if not left:

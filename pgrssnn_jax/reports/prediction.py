@@ -67,7 +67,7 @@ def _draw_overview(ax: Axes, signals: panels.Signals, k: int, stop: int) -> None
     style.quiet(ax, x="time (s)", y=signals.label(k, "residual"))
     title = "residual of the whole sequence; shaded: the window above"
     ax.set_title(title, loc="left", fontsize=8, color=style.QUIET, pad=3)
-    ax.plot(signals.time, signals.left(k, 0), color=style.VERMILLION, alpha=0.75, linewidth=0.5)
+    ax.plot(signals.time, signals.residual(k, 0), color=style.VERMILLION, alpha=0.75, linewidth=0.5)
     ax.axhline(0.0, color=style.INK, linewidth=0.8)
     ax.axvspan(signals.time[0], signals.time[stop], color=style.YELLOW, alpha=0.30, linewidth=0)
     ax.margins(x=0.01)

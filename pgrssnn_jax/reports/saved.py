@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect
-from pgrssnn_jax.effects.stored import check_keys, read_stored, source_digest, stored_physics
+from pgrssnn_jax.effects.stored import check_keys, has_source, read_stored, stored_physics
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.check import check_physics
 from pgrssnn_jax.physics.library import library_builder
@@ -31,7 +31,7 @@ from pgrssnn_jax.training.objective import MemberData
 from pgrssnn_jax.training.optimise import Fit
 from pgrssnn_jax.training.plan import member_mapping, plan_fit
 from pgrssnn_jax.training.run_folder import RunFolder, read_training_config
-from pgrssnn_jax.training.settings import settings_from_config
+from pgrssnn_jax.training.settings import changed, settings_from_config
 
 
 def load(
@@ -60,7 +60,7 @@ def load(
     shared = config["data"].get("shared_initial_state", False)
     if not isinstance(shared, bool):
         raise ValueError(f"{folder}: data.shared_initial_state: expected true or false, found {shared!r}")
-    fit = plan_fit(chosen, settings, shared=shared)
+    fit = plan_fit(chosen, changed(settings, {"recurrence": "xla"}), shared=shared)  # it is evaluated, not trained
     with closing(CheckpointFolder(run.checkpoint, create=False)) as checkpoints:
         found = checkpoints.restore(_structure(fit), any_shape=True)
     metrics = run.read_json("metrics.json")
@@ -122,7 +122,7 @@ def _recipe(config: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def stored_in(run: RunFolder, config: Mapping[str, Any]) -> dict[str, Any]:
-    """The folder's `physics.json`; for a run of before there was one, what its configuration says."""
+    """The folder's `physics.json`; for a run of an earlier version, the settings in its configuration."""
     path = run.path / "physics.json"
     if path.is_file():
         found = run.read_json(path.name)
@@ -153,13 +153,13 @@ def restored_physics(
         if build is None:
             raise ValueError(
                 f"{folder}: physics: expected the physics of one's own that this run was trained on "
-                f"(load(folder, physics=...), or trust=[its module]), found {target or 'none'!r} in the folder"
+                f"(physics=..., or for pg.load trust=[its module]), found {target or 'none'!r} in the folder"
             )
         settings = {name: value for name, value in stored["physics"].items() if name not in ("_target_", "effects")}
         physics = call_with(build, settings, f"{folder}: physics")
         check_physics(physics, target)
     _check_signals(physics, stored, folder)
-    if source_digest(physics) != stored.get("source_sha256", source_digest(physics)):
+    if "source_sha256" in stored and not has_source(physics, stored["source_sha256"]):
         warnings.warn(f"{folder}: the source of physics {physics.name!r} has changed since the run", stacklevel=3)
     return physics if stored["numbers"] is None else stored_physics(physics, stored, where=str(folder), extra=effects)
 

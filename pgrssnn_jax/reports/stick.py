@@ -186,7 +186,7 @@ def _draw_scale(ax: Axes, stage: Stage) -> None:
 def _draw_distance(ax: Axes, poses: Poses, metrics: Metrics) -> None:
     distance, dt = poses.tip_distance, metrics["dt"]
     style.quiet(ax, x="time (s)", y=style.label("tip, measured\nto predicted", "m"))
-    marker = "." if len(distance) <= 60 else ""
+    marker = style.marker(len(distance))
     ax.plot(dt * np.arange(len(distance)), distance, color=style.VERMILLION, linewidth=1.1, marker=marker)
     shade_uncounted(ax, metrics, len(distance))
     ax.margins(x=0.01)

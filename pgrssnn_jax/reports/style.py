@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from pgrssnn_jax.records.units import with_unit
 from pgrssnn_jax.reports import content
 from pgrssnn_jax.reports.content import Metrics
 
@@ -27,8 +28,13 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def marker(samples: int) -> str:
+    """Of a line with so few samples that each should be seen."""
+    return "." if samples <= 60 else ""
+
+
 def label(name: str, unit: str | None) -> str:
-    return plain(f"{name} ({unit or '–'})")
+    return plain(with_unit(name, unit))
 
 
 def page(body: float, metrics: Metrics, lines: Sequence[str]) -> Figure:

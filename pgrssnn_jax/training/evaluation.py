@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from pgrssnn_jax.models.initial_state import first_output_states
 from pgrssnn_jax.models.model import Model
 from pgrssnn_jax.models.rollout import Trajectory, rollout
-from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.physics.stiffness import of_shorter_steps, stays_finite
 from pgrssnn_jax.records.record import Array, Record, take, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
@@ -19,7 +19,7 @@ from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
 from pgrssnn_jax.training.metrics import all_metrics, rmse
 from pgrssnn_jax.training.objective import MemberData, Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
-from pgrssnn_jax.training.plan import MemberTests, Plan
+from pgrssnn_jax.training.plan import MemberTests, Plan, member_mapping
 
 _FIGURES = ("rmse", "nrmse", "fit_percent", "cc")
 
@@ -58,11 +58,11 @@ def has_failed(outcome: int) -> bool:
 
 
 def trained_members(plan: Plan, state: MemberState) -> Trained:
-    """The members of a plan after training."""
+    """The members of a plan after training; XLA alone evaluates them, here and where they are loaded."""
     start = jit_members(lambda s, d: plan.fit.objective.trained_start(s.best, d), plan.mapping)(state, plan.data)
-    return Trained(
-        plan.fit.objective, plan.mapping, plan.members, state, plan.data.scaling, plan.units, np.asarray(start)
-    )
+    objective = plan.fit.objective._replace(route=None)
+    mapping = member_mapping(plan.settings, len(plan.members), plan.data.train.u.shape[1])
+    return Trained(objective, mapping, plan.members, state, plan.data.scaling, plan.units, np.asarray(start))
 
 
 def predict(trained: Trained, test: Record) -> Predictions:
@@ -175,8 +175,7 @@ def member_rows(
 
 def _hint(model: Model, test: Record) -> str:
     """What keeps the physics of a member in the floating-point range, where it leaves the range without networks."""
-    physics, u, y = model.physics, np.asarray(test.u), np.where(test.mask, test.y, 0.0).astype(test.u.dtype)
-    x0 = first_output_state(physics, y[:, 0], u[:, 0])
+    physics, u, x0 = model.physics, np.asarray(test.u), np.asarray(first_output_states(model, test))
     alone = model.spec.guided and not stays_finite(physics, u, x0)
     return of_shorter_steps(physics, u, x0) if alone else ""
 

@@ -87,7 +87,8 @@ def plan_training(
     scaling = jax.tree.map(lambda *a: np.stack(a)[datasets].astype(np.float32), *scalings)
     own, other = (cast(record, np.float32) for record in _per_member(own, other, members, settings, one_record))
     data = MemberData(own, other, scaling, np.full(len(members), settings.fit.epochs, np.int32))
-    mapping = member_mapping(settings, len(members), data.train.u.shape[1])
+    native = fit.objective.route == "native"
+    mapping = member_mapping(settings, len(members), data.train.u.shape[1], native=native)
     _, measured = _per_member(fitted, aside, members, settings, one_record)
     own_units = jax.tree.map(lambda a: a[datasets], units)
     return Plan(settings, fit, mapping, members, fitted, measured, data, own_units)
@@ -108,7 +109,7 @@ def plan_fit(physics: Physics, settings: TrainingSettings, *, shared: bool) -> F
 
 
 def chosen_route(settings: TrainingSettings) -> Route | None:
-    """The route of a rollout for `members.recurrence`; None: the fastest in XLA.
+    """The route of training for `members.recurrence`; None: the fastest in XLA, by which every run is evaluated.
 
     Raises `ValueError` for `native` where the kernel cannot be had; `auto` does without it.
     """
@@ -140,11 +141,13 @@ def member_tests(
     return MemberTests(measured, cast(own, np.float32), _windows_to_report(initial, wanted, test))
 
 
-def member_mapping(settings: TrainingSettings, n_members: int, n_sequences: int) -> MemberMapping:
+def member_mapping(
+    settings: TrainingSettings, n_members: int, n_sequences: int, *, native: bool = False
+) -> MemberMapping:
     """`auto` is resolved by what the benchmark found: see `members.choose_mapping`. With `accelerate=false` one device
     and no options of the compiler."""
     chosen = settings.members
-    best = choose_mapping(n_members, n_sequences, jax.device_count(), native=chosen_route(settings) == "native")
+    best = choose_mapping(n_members, n_sequences, jax.device_count(), native=native)
     how = best.how if chosen.how == "auto" else chosen.how
     if not settings.run.accelerate:
         return MemberMapping(how, chosen.sub_batch)

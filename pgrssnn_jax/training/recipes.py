@@ -32,7 +32,7 @@ class Recipe(NamedTuple):
 
 
 #: for data and physics of one's own: training begins at the physics that discovery has fitted
-DEFAULT = Recipe({"recurrence": "auto"}, after_discovery={"start_from_physics": True})
+DEFAULT = Recipe(after_discovery={"start_from_physics": True})
 
 _TANKS = Recipe(
     {

@@ -63,7 +63,7 @@ class RunSettings:
     n_seeds: int = 10  # members per dataset: runs per model in the paper
     initial_state: InitialStateKind = "first_output"  # published: zero; see `models/initial_state.py`
     n_init: int = 50  # samples from which initial_state=estimated finds the start of a record
-    accelerate: bool = True  # False: without the tricks of `pgrssnn_jax.acceleration`, slower, equal results
+    accelerate: bool = True  # False: without `pgrssnn_jax.acceleration`, slower; equal (C++: to rounding)
     report_n_init: Any = (0, 5, 50)  # samples left out of the test record's start; first: main figure
 
     def __post_init__(self) -> None:
@@ -99,9 +99,7 @@ class MemberSettings:
     sub_batch: int | None = None  # members per vmap; None: all
     devices: int | Literal["auto"] = "auto"  # JAX devices over which members are sharded
     optimisation: int | None = None  # of machine code: 0 (compiles fast, runs slower) to 3; None: compiler's
-    # of the GRU: XLA's scan, or a C++ kernel that is faster and equal to rounding, compiled at its first use;
-    # auto: the kernel where there is a compiler. Thousands of epochs magnify rounding: the published runs rest on xla
-    recurrence: Literal["xla", "native", "auto"] = "xla"
+    recurrence: Literal["xla", "native", "auto"] = "auto"  # of GRU and dense layers; auto: C++ kernels if they compile
 
 
 class TrainingSettings(NamedTuple):
@@ -154,7 +152,7 @@ def settings_from_config(config: Mapping[str, Any], where: str = "configuration"
         "fit": dict(config["fit"]),
         "run": _those_of(RunSettings, config),
         "data": _those_of(DataSettings, config["data"]),
-        "members": dict(config["members"]),
+        "members": {"recurrence": "xla", **config["members"]},  # of runs before there were kernels
     }
     if given["fit"].get("guard") == "retreat":
         warnings.warn("fit.guard: 'retreat' is now called 'rollback'", FutureWarning, stacklevel=2)

@@ -134,12 +134,15 @@ def test_a_machine_without_a_compiler_says_so(monkeypatch):
 def test_a_compiler_that_fails_is_no_kernel(monkeypatch, tmp_path):
     compiler = tmp_path / "broken"
     compiler.write_text(
-        '#!/bin/sh\n[ "$1" = --version ] && echo 1.0 || { echo "kernels.cc:1: no such thing" >&2; exit 1; }\n'
+        '#!/bin/sh\n[ "$1" = --version ] && echo 1.0 || { echo "kernels.cc:1: error: no such thing" >&2; exit 1; }\n'
     )
     compiler.chmod(0o755)
     monkeypatch.setenv("CXX", str(compiler))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert missing_kernels.__wrapped__() == f"{compiler} does not compile the C++ kernels: kernels.cc:1: no such thing"
+    assert (
+        missing_kernels.__wrapped__()
+        == f"{compiler} does not compile the C++ kernels: kernels.cc:1: error: no such thing"
+    )
     assert list((tmp_path / "cache/pgrssnn_jax/native").iterdir()) == []
 
 

@@ -1,15 +1,27 @@
 """A physics as plain data and back: settings, numbers, effects and start; and files that are none."""
 
+import hashlib
+import importlib
+import inspect
 import json
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commands import ROOT
 from toys import toy_physics
 
+from pgrssnn_jax.cli.plan import load_physics
 from pgrssnn_jax.effects.base import Effect, effects_of, on_output
-from pgrssnn_jax.effects.stored import physics_to_json, read_stored, settings_to_json, source_digest, stored_physics
+from pgrssnn_jax.effects.stored import (
+    has_source,
+    physics_to_json,
+    read_stored,
+    settings_to_json,
+    source_digest,
+    stored_physics,
+)
 from pgrssnn_jax.effects.systems import add_effect
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous, discrete
@@ -249,6 +261,20 @@ def test_the_file_tells_one_physics_from_another():
     assert len({source_digest(p) for p in (cascaded_tanks(), lgssm(), toy_physics(), own())}) == 4
     with pytest.raises(ValueError, match="here: expected physics 'lgssm', found 'tanks'"):
         stored_physics(lgssm(), stored, where="here")
+
+
+def test_a_command_and_python_tell_the_same_source_of_an_own_physics(tmp_path, monkeypatch):
+    """Their origins differ: the function that the command calls, and the derivative that `pg.continuous` was given."""
+    text = (ROOT / "tests/test_api_own_physics.py").read_text()
+    (tmp_path / "stored_pendulum.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    pendulum = importlib.import_module("stored_pendulum").pendulum
+    by_command = load_physics({"_target_": "stored_pendulum.pendulum"})
+    assert source_digest(by_command) == source_digest(pendulum())
+    inner = hashlib.sha256(inspect.getsource(pendulum().origin.source).encode()).hexdigest()[:12]
+    assert inner != source_digest(pendulum())
+    assert has_source(pendulum(), inner)
+    assert not has_source(pendulum(), source_digest(own()))
 
 
 def test_another_size_of_matrix_is_refused():

@@ -42,3 +42,25 @@ def test_every_question_has_an_answer(name):
     for question, lines in answers(SAD[name][0]).items():
         assert lines, question
         assert not {"nan", "None"} & set(" ".join(lines).split())
+
+
+def test_alternatives_name_the_effect_that_they_would_replace():
+    rows = [{"name": name, "instead_of": found, "experiment": "a step"} for name, found in (("b", "a"), ("d", "c"))]
+    said = answers(TANK[0] | {"alternatives": rows})["What to measure next?"]
+    assert "To distinguish b from a: a step." in said
+    assert "To distinguish d from c: a step." in said
+
+
+def test_gains_that_are_not_known_do_not_disturb_the_order():
+    effects = [{"name": name, "title": name, "gain_test": gain} for name, gain in (("a", 0.1), ("b", None), ("c", 0.5))]
+    (line,) = [one for one in answers(TANK[0] | {"effects": effects})["How sure is it?"] if "Share of the gap" in one]
+    assert line == "Share of the gap closed on test data: 50 % by c, 10 % by a."
+
+
+@pytest.mark.parametrize(("region", "said"), [({}, False), ({"level": [7.0, 9.0]}, True)])
+def test_unexplained_errors_ask_for_samples_where_they_are_known_to_be(region, said):
+    nothing_else = {"alternatives": [], "untestable": [], "undetermined": [], "verdict": "unexplained"}
+    told = TANK[0] | nothing_else | {"remaining": {"rule": "everywhere", "region": region}}
+    lines = answers(told)["What to measure next?"]
+    assert ("More samples where the errors are: level." in lines) == said
+    assert any("tell them apart" in line for line in lines) != said

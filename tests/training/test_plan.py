@@ -159,11 +159,10 @@ def test_without_acceleration_one_device_maps_the_members():
 
 def test_own_data_takes_the_kernel_where_there_is_one_and_benchmarks_keep_xla(monkeypatch):
     monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernels", lambda: None)
-    assert plan().fit.objective.route is None
-    own = training_settings("pg_rssnn", DEFAULT.settings(discovered=False))
-    assert own.members.recurrence == "auto"
-    assert plan(recurrence="auto").fit.objective.route == "native"
-    assert plan(recurrence="auto").mapping.how == "loop"
+    assert training_settings("pg_rssnn", DEFAULT.settings(discovered=False)).members.recurrence == "auto"
+    assert plan().fit.objective.route == "native"
+    assert plan().mapping.how == "loop"
+    assert plan(recurrence="xla").fit.objective.route is None
     for name, recipe in RECIPES.items():
         for discovered in (False, True):
             assert recipe.settings(discovered=discovered)["recurrence"] == "xla", name

@@ -48,7 +48,7 @@ template <int64_t kHidden>
 void backward(Shape shape, const float* kernel, const float* bias, const float* projected, const float* states,
               const float* cotangent, float* d_kernel, float* d_bias, float* d_projected) {
   const int64_t H = kHidden ? kHidden : shape.hidden, S = shape.sequences;
-  const int64_t chunk = std::max<int64_t>(1, kChunkRows / S), most = chunk * S;
+  const int64_t chunk = std::max<int64_t>(1, kChunkRows / std::max<int64_t>(1, S)), most = chunk * S;
   std::vector<float> transposed(3 * H * H), carry(S * H, 0.0f);
   std::vector<float> before(most * H), recurrent(most * 3 * H), gates(most * 3 * H), d_recurrent(most * 3 * H);
   transpose(kernel, H, 3 * H, transposed.data());
