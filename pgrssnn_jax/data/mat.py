@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from pgrssnn_jax.records.arguments import first_line
@@ -60,8 +61,6 @@ def _load(path: str | Path) -> tuple[Mapping[str, Any], str]:
     # Said first because SciPy takes some of these files for damaged ones.
     if content.startswith((b"\x89HDF", b"MATLAB 7.3")):
         raise ValueError(f"{path}: expected a MAT file up to version 7.2, found version 7.3 (save it with '-v7')")
-    import scipy.io  # takes a tenth of a second, which no other command has to spend
-
     try:
         found = scipy.io.loadmat(io.BytesIO(content))
     except Exception as error:  # SciPy's reader raises whatever a damaged file leads it to

@@ -10,9 +10,8 @@ Nothing is delayed. A gap in the log may be as long as dt.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import signal
-from scipy.interpolate import CubicHermiteSpline, make_interp_spline
 
 _ORDER = 4
 _OPEN = 0.8  # of the highest frequency that is left: where the filter begins unless somebody says
@@ -75,11 +74,12 @@ def resampled(log: Log, dt: float, cutoff: float | None, where: str) -> Resample
     if chosen is not None:
         if not 0 < chosen < 0.5 / step:
             raise ValueError(f"{where}: cutoff: expected more than 0 and less than {0.5 / step:g} Hz, found {chosen:g}")
-        whole = signal.sosfiltfilt(signal.butter(_ORDER, chosen, fs=1 / step, output="sos"), whole, axis=0)
+        low_pass = scipy.signal.butter(_ORDER, chosen, fs=1 / step, output="sos")
+        whole = scipy.signal.sosfiltfilt(low_pass, whole, axis=0)
     ratio = whole.std(0) / np.maximum(spread, 1e-300)
     if finer:
         at = np.arange(0.0, (len(whole) - 1) * step * (1 + 1e-12), dt)
-        whole = make_interp_spline(step * np.arange(len(whole)), whole, k=3)(at)
+        whole = scipy.interpolate.make_interp_spline(step * np.arange(len(whole)), whole, k=3)(at)
     n = log.position.shape[1]
     return Resampled(whole[:, :n], whole[:, n:], 1 / step, chosen, float(ratio[n:].min() ** 2))
 
@@ -88,8 +88,8 @@ def _even(log: Log, step: float) -> Float[np.ndarray, "time channel"]:
     """Position and torque every `step` s."""
     at = np.arange(log.time[0], log.time[-1] + 1e-9 * step, step)
     if log.velocity is None:
-        through = make_interp_spline(log.time, log.position, k=3)
+        through = scipy.interpolate.make_interp_spline(log.time, log.position, k=3)
     else:
-        through = CubicHermiteSpline(log.time, log.position, log.velocity)
+        through = scipy.interpolate.CubicHermiteSpline(log.time, log.position, log.velocity)
     torque = np.stack([np.interp(at, log.time, one) for one in log.torque.T], 1)
     return np.concatenate([through(at), torque], 1)

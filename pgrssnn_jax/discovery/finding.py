@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.locate import box, intervals
@@ -88,7 +88,7 @@ def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> 
 
 def interval(value: Any, std: Any, freedom: float) -> list[Any]:
     """95 % interval, lowest and highest, of an estimate with so many degrees of freedom (Student's t)."""
-    half = stats.t.ppf(0.975, freedom) * np.asarray(std)
+    half = scipy.stats.t.ppf(0.975, freedom) * np.asarray(std)
     return [(np.asarray(value) - half).tolist(), (np.asarray(value) + half).tolist()]
 
 

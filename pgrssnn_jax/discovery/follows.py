@@ -10,8 +10,8 @@ Source: Wiener, Nonlinear problems in random theory, 1958 (filters and curves).
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.signal import lfilter
 
 from pgrssnn_jax.discovery.estimate import Estimate
 from pgrssnn_jax.discovery.flexible import nearness
@@ -65,7 +65,7 @@ def _features(s: Float[np.ndarray, "seq time s"]) -> Float[np.ndarray, "seq time
     low, high = s.min((0, 1)), s.max((0, 1))
     hats = nearness(s, low, np.maximum(high, low + 1e-12)).reshape(*s.shape[:2], -1)
     hats = hats - hats.mean((0, 1))  # filters begin at rest
-    filtered = [lfilter([1.0 / (1 + k)], [1.0, -k / (1 + k)], hats, axis=1) for k in _SAMPLES]
+    filtered = [scipy.signal.lfilter([1.0 / (1 + k)], [1.0, -k / (1 + k)], hats, axis=1) for k in _SAMPLES]
     found = np.concatenate(filtered, -1)
     return found / np.maximum(found.std((0, 1)), 1e-12)
 

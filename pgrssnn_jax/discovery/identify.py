@@ -15,7 +15,7 @@ which is the likeliest model where their variance is unknown.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models
@@ -93,7 +93,7 @@ def most_likely(
 
 def departures(problem: Problem, model: Model) -> list[Departure]:
     """A departure lies outside its prior, and the nominal number outside its interval."""
-    found, half_width = [], stats.t.ppf(0.975, model.freedom) * model.deviation
+    found, half_width = [], scipy.stats.t.ppf(0.975, model.freedom) * model.deviation
     for i in problem.of(None):
         if problem.precision[i] <= 0:
             continue

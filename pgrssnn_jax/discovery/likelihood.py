@@ -13,8 +13,8 @@ Econometrica 48, 1980.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float, Int
-from scipy.signal import lfilter
 
 from pgrssnn_jax.discovery.noise import autoregression, correlation_time
 
@@ -82,7 +82,7 @@ def covariance(at: Linearisation, noise: Noise, variance: float) -> tuple[Float[
     for j, colour in enumerate(noise.filters):
         n = int(at.measured[..., j].sum())
         columns = at.columns[..., j, :] * at.measured[..., j, None]
-        g = np.asarray(lfilter([1.0], colour, columns[:, ::-1], axis=1))[:, ::-1]
+        g = np.asarray(scipy.signal.lfilter([1.0], colour, columns[:, ::-1], axis=1))[:, ::-1]
         own = _filtered(at.error, noise.filters)[..., j] ** 2 * n / max(n - k - len(colour) + 1, 1)
         meat = meat + np.einsum("st,stk,stl->kl", own, g, g, optimize=True)
         normal = normal + np.einsum("stk,stl->kl", columns, columns, optimize=True)
@@ -105,4 +105,4 @@ def _step(at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: floa
 
 def _filtered(values: np.ndarray, filters: Float[np.ndarray, "y lag"]) -> np.ndarray:
     """A_j(z) of values `[seq, time, y, ...]`."""
-    return np.stack([lfilter(one, [1.0], values[:, :, j], axis=1) for j, one in enumerate(filters)], 2)
+    return np.stack([scipy.signal.lfilter(one, [1.0], values[:, :, j], axis=1) for j, one in enumerate(filters)], 2)

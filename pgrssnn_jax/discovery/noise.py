@@ -6,8 +6,8 @@ Source of the second: wild bootstrap, Wu, Annals of Statistics 14, 1986.
 """
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.signal import lfilter
 
 ORDER = 4  # of A: AR(4) follows white, AR(1) and low-pass filtered noise and the poles of second-order systems
 _STABLE = 0.999  # largest modulus of a pole of 1 / A
@@ -31,7 +31,7 @@ def surrogates(
 ) -> Float[np.ndarray, "draw seq time y"]:
     """Errors of the same colour that mean nothing."""
     filters = np.stack([autoregression(error[..., j]) for j in range(error.shape[2])])
-    innovations = np.stack([lfilter(f, [1.0], error[..., j], axis=-1) for j, f in enumerate(filters)], -1)
+    innovations = np.stack([scipy.signal.lfilter(f, [1.0], error[..., j], axis=-1) for j, f in enumerate(filters)], -1)
     return recoloured(innovations, filters, draws, rng)
 
 
@@ -42,8 +42,9 @@ def recoloured(
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "draw seq time y"]:
     """A(z)⁻¹ s_t ε_t; outputs keep what they have in common, and all what they have at neighbouring times in size."""
-    signs = rng.integers(0, 2, (draws, *innovations.shape[:2])) * 2.0 - 1.0
-    return np.stack([lfilter([1.0], f, signs * innovations[..., j], axis=-1) for j, f in enumerate(filters)], -1)
+    signs = rng.integers(0, 2, (draws, *innovations.shape[:2], 1)) * 2.0 - 1.0
+    drawn = np.moveaxis(signs * innovations, -1, 0)
+    return np.stack([scipy.signal.lfilter([1.0], f, one) for f, one in zip(filters, drawn, strict=True)], -1)
 
 
 def autoregression(
@@ -64,5 +65,5 @@ def autoregression(
 
 def correlation_time(filters: Float[np.ndarray, " lag"]) -> float:
     """Σ_k ρ_k of an autoregression, in samples, 1 for white noise: so many samples tell as much as one."""
-    response = np.asarray(lfilter([1.0], filters, np.eye(1, 4096)[0]))
+    response = np.asarray(scipy.signal.lfilter([1.0], filters, np.eye(1, 4096)[0]))
     return float(max(response.sum() ** 2 / (response**2).sum(), 1.0))

@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import stats
 
 from pgrssnn_jax.discovery.likelihood import Linearisation, Noise
 from pgrssnn_jax.discovery.noise import recoloured
@@ -37,12 +37,12 @@ class Null(NamedTuple):
 
     def p_value(self, name: str, gain: float) -> float:
         """Probability that any effect is as unlikely by luck."""
-        alone = stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
+        alone = scipy.stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
         return float((1 + (self.law <= alone).sum()) / (1 + len(self.law)))
 
     def gains(self, name: str) -> Float[np.ndarray, " draw"]:
         """The law in the gains of one effect."""
-        return np.asarray(stats.gamma.isf(np.exp(self.law), self.shape[name], scale=self.scale[name]))
+        return np.asarray(scipy.stats.gamma.isf(np.exp(self.law), self.shape[name], scale=self.scale[name]))
 
 
 def null_of(gains: Mapping[str, Float[np.ndarray, " draw"]]) -> Null:
@@ -50,7 +50,7 @@ def null_of(gains: Mapping[str, Float[np.ndarray, " draw"]]) -> Null:
     mean = {name: max(float(own.mean()), _LEAST) for name, own in gains.items()}
     shape = {name: mean[name] ** 2 / max(float(own.var()), _LEAST**2) for name, own in gains.items()}
     scale = {name: mean[name] / shape[name] for name in gains}
-    alone = [stats.gamma.logsf(own, shape[name], scale=scale[name]) for name, own in gains.items()]
+    alone = [scipy.stats.gamma.logsf(own, shape[name], scale=scale[name]) for name, own in gains.items()]
     return Null(np.sort(np.min(alone, 0)) if alone else np.zeros(1), shape, scale)
 
 

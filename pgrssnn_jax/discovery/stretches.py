@@ -9,8 +9,8 @@ Source of the filter: Savitzky, Golay, Smoothing and differentiation of data, An
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.signal import savgol_coeffs, savgol_filter
 
 from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
 from pgrssnn_jax.physics.base import measured_rate
@@ -32,12 +32,13 @@ class Smoothed(NamedTuple):
 
 def smoothed(y: Float[np.ndarray, "seq time y"], dt: float) -> Smoothed:
     """Standard errors are those of the noise and of what a shorter filter finds different."""
+    weights = scipy.signal.savgol_coeffs
     noise, found, errors = np.zeros(0), [], []
     for order in (0, 1):
         long, short = (_filtered(y, n, order, dt) for n in (_LONG, _SHORT))
-        gains = [float((savgol_coeffs(n, _ORDER, deriv=order, delta=dt) ** 2).sum()) for n in (_LONG, _SHORT)]
+        gains = [float((weights(n, _ORDER, deriv=order, delta=dt) ** 2).sum()) for n in (_LONG, _SHORT)]
         if order == 0:
-            noise = np.sqrt(np.mean((y - long) ** 2, (0, 1)) / (1.0 - savgol_coeffs(_LONG, _ORDER)[_LONG // 2]))
+            noise = np.sqrt(np.mean((y - long) ** 2, (0, 1)) / (1.0 - weights(_LONG, _ORDER)[_LONG // 2]))
         bias = np.maximum(np.mean((short - long) ** 2, (0, 1)) - (gains[1] - gains[0]) * noise**2, 0.0)
         found.append(long)
         errors.append(np.sqrt(gains[0] * noise**2 + bias))
@@ -45,7 +46,7 @@ def smoothed(y: Float[np.ndarray, "seq time y"], dt: float) -> Smoothed:
 
 
 def _filtered(y: np.ndarray, samples: int, order: int, dt: float) -> np.ndarray:
-    return np.asarray(savgol_filter(y, samples, _ORDER, deriv=order, delta=dt, axis=1))
+    return np.asarray(scipy.signal.savgol_filter(y, samples, _ORDER, deriv=order, delta=dt, axis=1))
 
 
 def check_stretches(record: Record, length: int) -> None:

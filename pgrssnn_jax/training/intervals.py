@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from pgrssnn_jax.records.arguments import shown
 from pgrssnn_jax.records.record import Record
@@ -116,7 +116,7 @@ def _log_variance(features: np.ndarray, spread: np.ndarray, squares: np.ndarray)
 
     start = np.zeros(features.shape[1])
     start[0] = np.log(np.mean(squares) + _TINY)
-    return minimize(cost, start, jac=True, method="L-BFGS-B").x
+    return scipy.optimize.minimize(cost, start, jac=True, method="L-BFGS-B").x
 
 
 def _quantiles(scores: np.ndarray, independent: float) -> np.ndarray:

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.stats import t as student
 
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import Record
@@ -137,7 +137,7 @@ def _gentlest(kind: Sequence[Tried]) -> Tried:
 
 def _beats(other: Tried, simpler: Tried, least: float) -> bool:
     gains, count = simpler.left_out - other.left_out, len(simpler.left_out)
-    doubt = student.ppf(_SURE, count - 1) * np.std(gains, ddof=1) / math.sqrt(count) if count > 1 else 0.0
+    doubt = scipy.stats.t.ppf(_SURE, count - 1) * np.std(gains, ddof=1) / math.sqrt(count) if count > 1 else 0.0
     return bool(np.mean(gains) > max(doubt, least))
 
 

@@ -9,8 +9,8 @@ c                     argmin Σ_k (ρ(k dt; c) - ρ_k)²        ρ: autocorrelat
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar
 
 from pgrssnn_jax.discovery.inverse.evidence import fastest_of, samples_of, torques
 from pgrssnn_jax.discovery.inverse.filter_tuning import tuned_numbers
@@ -101,5 +101,5 @@ def _damping(numbers: FilterNumbers, found: Motion) -> float:
         powers = np.stack([np.linalg.matrix_power(kernel, k) for k in lags])
         return float(np.sum((powers[..., 1, 1] - measured) ** 2))
 
-    log = minimize_scalar(mismatch, bounds=np.log([0.01 * swing, 100 * swing]), method="bounded").x
+    log = scipy.optimize.minimize_scalar(mismatch, bounds=np.log([0.01 * swing, 100 * swing]), method="bounded").x
     return float(np.exp(float(log)))

@@ -13,7 +13,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import differential_evolution
+import scipy
 
 from pgrssnn_jax.effects.base import WithEffects, own_of
 from pgrssnn_jax.physics.arms.motion_prior import OF_ALL_JOINTS
@@ -59,7 +59,7 @@ def _together(error: Error, numbers: Mapping[str, Any], most: int) -> Numbers:
     def scaled(logs: np.ndarray) -> Numbers:
         return {**numbers, **{name: numbers[name] * np.exp(log) for name, log in zip(names, logs, strict=True)}}
 
-    found = differential_evolution(
+    found = scipy.optimize.differential_evolution(
         lambda logs: error(scaled(logs)), [(-np.log(_FURTHEST), np.log(_FURTHEST))] * len(names),
         x0=np.zeros(len(names)), popsize=_PER_FACTOR, maxiter=max(most // (_PER_FACTOR * len(names)) - 1, 0), tol=0,
         polish=False, rng=np.random.default_rng(0), init="sobol",

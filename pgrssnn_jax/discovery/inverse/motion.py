@@ -12,10 +12,8 @@ Source: Gautier, Vandanjon, Presse, Identification of inertial and drive gain pa
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import signal
-from scipy.interpolate import make_interp_spline
-from scipy.ndimage import uniform_filter1d
 
 from pgrssnn_jax.records.record import Record
 
@@ -69,9 +67,11 @@ def motion_of(
     before = np.zeros_like(y[:, :1]).repeat(edge, 1) if at_rest else 2 * y[:, :1] - y[:, 1:2]
     whole = np.concatenate([before, y], axis=1)  # its last sample of before is at the time 0, as the first torque
     if filtered:
-        sections = signal.butter(_ORDER, chosen, fs=1 / dt, output="sos")
-        whole = signal.sosfiltfilt(sections, whole, axis=1)
-    spline = make_interp_spline(dt * (np.arange(whole.shape[1]) - before.shape[1] + 1), whole, k=5, axis=1)
+        sections = scipy.signal.butter(_ORDER, chosen, fs=1 / dt, output="sos")
+        whole = scipy.signal.sosfiltfilt(sections, whole, axis=1)
+    spline = scipy.interpolate.make_interp_spline(
+        dt * (np.arange(whole.shape[1]) - before.shape[1] + 1), whole, k=5, axis=1
+    )
     kept = np.arange(0 if at_rest else edge, u.shape[1] - edge)
     q, v, a = (np.asarray(spline(dt * (kept + shift), nu=order)) for order in range(3))
     upper = chosen if filtered else highest
@@ -95,10 +95,10 @@ def thinned(motion: Motion, step: int) -> Motion:
 
 def spectrum_of(y: PerSample, dt: float) -> tuple[float, Float[np.ndarray, " n"]]:
     """The cut-off, Hz, and the floor of the spectra, rad²/Hz."""
-    f, power = signal.welch(
+    f, power = scipy.signal.welch(
         y, 1 / dt, window="blackmanharris", nperseg=min(_SEGMENT, y.shape[1]), axis=1, detrend="linear"
     )
-    power = uniform_filter1d(power.mean(0), _SMOOTHED, axis=0, mode="nearest")
+    power = scipy.ndimage.uniform_filter1d(power.mean(0), _SMOOTHED, axis=0, mode="nearest")
     floor = np.median(power[f > _FLOOR * f[-1]], axis=0)
     above = power > _RATIO * floor
     highest = np.array([f[above[:, j]].max(initial=0.0) for j in range(y.shape[2])])
