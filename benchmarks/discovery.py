@@ -45,7 +45,7 @@ _WHOLE: dict[str, Any] = {"replace": {}, "stretches": [], "network_epochs": 0}
 _AS_USERS: dict[str, Any] = {"network_epochs": 0}  # an arm in stretches, with what discovery changes in it
 _ROOT = Path(__file__).resolve().parents[1]
 _DECIDES = ("pgrssnn_jax/discovery", "pgrssnn_jax/effects", "pgrssnn_jax/physics", "benchmarks/hidden")
-_TELL_ONLY = ("score.py", "check.py", "compare.py", "static.py", "terms.py")  # decide nothing
+_TELL_ONLY = ("score.py", "check.py", "with_pysindy.py", "with_adcd.py", "terms.py")  # decide nothing
 
 
 def main() -> None:

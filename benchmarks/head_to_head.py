@@ -23,7 +23,7 @@ import jax
 import numpy as np
 from discovery import run_case
 from head_to_head_tables import tables
-from hidden import compare, static, suite
+from hidden import suite, with_adcd, with_pysindy
 from hidden.case import Case
 from hidden.nominal import nominal
 from hidden.score import FINDINGS, Row
@@ -115,17 +115,17 @@ def _tasks(arguments: argparse.Namespace, methods: Any) -> Iterator[tuple[Row, C
     run = {"ours": ours.case, "pysindy": by_pysindy, "pysindy_best": partial(by_pysindy, allowed=0.0), "adcd": by_adcd}
     for method in methods:
         for plan in plans if "suite" in arguments.parts else ():
-            if method != "adcd" or plan.system in static.SYSTEMS:
+            if method != "adcd" or plan.system in with_adcd.SYSTEMS:
                 key = {"part": "suite", "method": method, **plan._asdict(), "truth": list(plan.truth)}
                 yield key | {"removed": []}, lambda plan=plan, method=method: run[method](plan)
         if "laws" in arguments.parts and method == "ours":
-            for name in static.LAWS:
+            for name in with_adcd.LAWS:
                 row = {"part": "laws", "method": method, "seed": arguments.seed, "truth": [name]}
-                yield row, lambda name=name: ours.case(*static.law(name, arguments.seed))
+                yield row, lambda name=name: ours.case(*with_adcd.law(name, arguments.seed))
         if "laws" in arguments.parts and method == "adcd":
-            for name in static.scenarios():
+            for name in with_adcd.scenarios():
                 row = {"part": "laws", "method": method, "seed": arguments.seed, "truth": [name]}
-                yield row, lambda name=name: static.at_home(name, arguments.seed)
+                yield row, lambda name=name: with_adcd.at_home(name, arguments.seed)
         if "tanks" in arguments.parts and method == "ours":
             yield {"part": "tanks", "method": method}, measured_tanks
 
@@ -158,7 +158,7 @@ class Ours:
 
 def by_pysindy(plan: Plan, allowed: float = 1.0) -> Row:
     case = suite.build(plan)
-    found = compare.regressed(case, allowed)
+    found = with_pysindy.regressed(case, allowed)
     names = [MEANING.get((term.role, term.shape), ()) for term, _ in found.terms]
     extra = {"given": found.given, "window": found.window, "threshold": _finite(found.threshold)}
     return _of_terms(case, found.terms, names, found.physics) | extra
@@ -185,7 +185,7 @@ def _of_terms(case: Case, terms: Any, names: list[tuple[str, ...]], physics: Phy
 
 def by_adcd(plan: Plan) -> Row:
     case = suite.build(plan)
-    terms, physics = static.corrections(case, plan.seed)
+    terms, physics = with_adcd.corrections(case, plan.seed)
     names = [MEANING.get((term.role, term.shape), ()) for term, _ in terms]
     return _of_terms(case, terms, names, physics)
 
@@ -258,7 +258,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cases", type=int, default=36, help="of the suite, over its systems")
     parser.add_argument("--seed", type=int, default=4100)
-    parser.add_argument("--systems", nargs="+", default=list(compare.SYSTEMS), choices=compare.SYSTEMS)
+    parser.add_argument("--systems", nargs="+", default=list(with_pysindy.SYSTEMS), choices=with_pysindy.SYSTEMS)
     parser.add_argument("--parts", nargs="+", default=["suite", "laws", "tanks"], choices=["suite", "laws", "tanks"])
     parser.add_argument("--only", choices=METHODS)
     parser.add_argument("--most", type=int, default=10**6, help="rows to compute in this call")

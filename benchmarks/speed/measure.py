@@ -58,9 +58,9 @@ def system_part(name: str, *, quick: bool, compare: bool) -> Figures:
         cases |= {f"epoch, {_counted(n)}{form}": epoch_case(system, physics, n, route=route) for n in counts}
         cases[f"rollout{form}"] = rollout_case(system, physics, *system.run, route=route)
     if compare:
-        from . import compare as against  # PyTorch is an optional extra
+        from . import torch_cases  # PyTorch is an optional extra
 
-        cases |= against.epochs(system, physics) | against.rollouts(system, physics)
+        cases |= torch_cases.epochs(system, physics) | torch_cases.rollouts(system, physics)
     return measured(cases, 2 if quick else 7)
 
 
@@ -85,9 +85,9 @@ def arm_part(*, quick: bool, compare: bool) -> Figures:
         for form, route in forms.items()
     }
     if compare:
-        from . import compare as against
+        from . import torch_cases
 
-        runs |= against.rollouts(system, physics["full"])
+        runs |= torch_cases.rollouts(system, physics["full"])
     return found | measured(runs, 2 if quick else 3)
 
 

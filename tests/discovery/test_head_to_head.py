@@ -28,11 +28,11 @@ def tables(monkeypatch):
 @needs_pysindy
 @pytest.mark.parametrize(("truth", "size"), [("input_offset", "u_offset"), ("quadratic_drag", "drag")])
 def test_pysindy_names_an_effect_that_is_a_term(truth, size):
-    from benchmarks.hidden import compare
+    from benchmarks.hidden import with_pysindy
     from benchmarks.hidden.nominal import nominal
 
     case = suite.build(Plan("duffing", 4, "single", (truth,), (), 0.0005))
-    found = compare.regressed(case)
+    found = with_pysindy.regressed(case)
     term, c = found.terms[0]
     assert truth in MEANING[term.role, term.shape]
     estimate = size_of(truth, term, c, found.physics, nominal(case))
@@ -42,9 +42,9 @@ def test_pysindy_names_an_effect_that_is_a_term(truth, size):
 
 @needs_pysindy
 def test_pysindy_is_given_the_state_that_nobody_measures():
-    from benchmarks.hidden import compare
+    from benchmarks.hidden import with_pysindy
 
-    assert compare.regressed(suite.build(Plan("tanks", 4, "none", (), (), 0.005))).given == ["upper_level"]
+    assert with_pysindy.regressed(suite.build(Plan("tanks", 4, "none", (), (), 0.005))).given == ["upper_level"]
 
 
 @needs_pysindy
@@ -62,8 +62,8 @@ def test_the_script_goes_on_where_it_was(tmp_path):
 def test_adcd_finds_its_own_drag_and_every_scenario_is_accounted_for():
     """In a process of its own: importing adcd changes the precision of JAX."""
     code = (
-        "import json; from benchmarks.hidden import static; row = static.at_home('Nonlinear Drag', 0);"
-        "print(json.dumps([row['right'], list(static.scenarios()), list(static.LAWS), static.NO_MOTION]))"
+        "import json; from benchmarks.hidden import with_adcd; row = with_adcd.at_home('Nonlinear Drag', 0);"
+        "print(json.dumps([row['right'], list(with_adcd.scenarios()), list(with_adcd.LAWS), with_adcd.NO_MOTION]))"
     )
     run = subprocess.run([sys.executable, "-W", "ignore", "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert run.returncode == 0, run.stderr

@@ -3,8 +3,8 @@
     y = y_known(x) + Δ(x)   or   y_known(x) (1 + Δ(x)),   Δ → 0 where a signal goes to its classical limit
 
 ADCD has no time: on a hidden-effect case y is the smoothed derivative of the fastest state, x its signals, and y_known
-the physics with its numbers refitted to the derivatives (`compare.py`). It must be told which signal's limit makes the
-correction vanish: each is tried, at zero, and the lowest BIC is taken, where it is lower than without a correction.
+the physics with its numbers refitted to the derivatives (`with_pysindy.py`). It must be told which signal's limit makes
+the correction vanish: each is tried, at zero, and the lowest BIC is taken, where it is lower than without a correction.
 Source: Erdita, Anomaly-Driven Correction Discovery, https://pypi.org/project/adcd.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 
 from pgrssnn_jax.physics.base import Physics
 
-from . import bench, compare, duffing
+from . import bench, duffing, with_pysindy
 from .case import Case, Catalogue
 from .nominal import nominal
 from .score import Row
@@ -62,8 +62,8 @@ def corrections(case: Case, seed: int) -> tuple[list[tuple[Term, float]], Physic
 
     physics = nominal(case)
     with jax.enable_x64(True):
-        data = compare.measured(physics, case, _WINDOW)
-        known = compare.Regression(compare.Ahead(physics, library(physics, data.z)), case.train, data)
+        data = with_pysindy.measured(physics, case, _WINDOW)
+        known = with_pysindy.Regression(with_pysindy.Ahead(physics, library(physics, data.z)), case.train, data)
     names = [signal.name for signal in (*physics.states, *physics.inputs)]
     x = dict(zip(names, data.z[:, data.inside], strict=True))
     y, y_known = known.slopes[0, data.inside], known.known[0, data.inside]
@@ -80,7 +80,7 @@ def corrections(case: Case, seed: int) -> tuple[list[tuple[Term, float]], Physic
     terms = []
     if bic(best) < adcd.bic_score(1.0, 0, len(y)):
         terms = [(_term(best.best_expr, best.best_theta, physics), 1.0)]
-    return terms, compare.corrected(physics, terms, known.theta)
+    return terms, with_pysindy.corrected(physics, terms, known.theta)
 
 
 def _term(expression: str, theta: dict[str, float], physics: Physics) -> Term:
