@@ -51,10 +51,16 @@ def network_shares(
         plan, tests = plan_network(setup, added)
         share, error, metric, unit = _one(plan, tests, stop)
         shares |= {f"share_{when}": share, f"{metric.lower()}_{when}": error, "metric": metric, "unit": unit}
-        said = f"{metric} {error:.3g} {unit}".rstrip()
-        notify(f"PG-RSSNN {when}: the network supplies {100 * share:.1f} % of the prediction, {said}")
+        notify(f"PG-RSSNN {when}: {_part(share)}, {metric} {error:.3g} {unit}".rstrip())
         shares["members"] = len(plan.members)
     return {**shares, "epochs": setup.settings.network_epochs}
+
+
+def _part(share: float) -> str:
+    """A sentence's main clause."""
+    if share <= 1.0:
+        return f"the network supplies {100 * share:.1f} % of the prediction"
+    return f"the network adds {share:.3g} times the spread of the measurement, so the physics has no say any more"
 
 
 def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, float, str, str]:
