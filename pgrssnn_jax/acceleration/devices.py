@@ -1,12 +1,16 @@
-"""How JAX uses this machine: one CPU device per core, so that members can be sharded, and compiled programs kept.
+"""How JAX uses this machine: one CPU device per core, work shared by the devices, and compiled programs kept.
 
-Both change the speed alone. JAX's own environment variables, and what the user has configured, win.
+All this changes the speed alone. JAX's own environment variables, and what the user has configured, win.
 """
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
+from jax.sharding import AxisType, PartitionSpec
 
 
 def usable_cores() -> int:
@@ -37,3 +41,23 @@ def keep_compiled() -> None:
 def cache_folder() -> Path:
     """Cache folder of this package; its content can be rebuilt."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pgrssnn_jax"
+
+
+def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., Any]:
+    """The same function of trees with a leading axis, that axis sharded over the first `devices` JAX devices; padded to
+    a multiple of them with copies of the last entry, which are dropped again."""
+    if devices == 1:
+        return function
+    chosen = jax.devices()[:devices]
+    mesh = jax.make_mesh((devices,), ("device",), axis_types=(AxisType.Auto,), devices=chosen)
+    spec = PartitionSpec("device")
+    sharded = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+
+    def on_devices(*trees: Any) -> Any:
+        count = len(jax.tree.leaves(trees)[0])
+        missing = -count % devices
+        if missing:
+            trees = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)]), trees)
+        return jax.tree.map(lambda a: a[:count], sharded(*trees))
+
+    return on_devices

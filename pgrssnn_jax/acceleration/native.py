@@ -100,19 +100,20 @@ def gru_scan(
     kernel: Float[jax.Array, "hidden gates"],
     bias: Float[jax.Array, " gates"],
     projected: Float[jax.Array, "time seq gates"],
+    start: Float[jax.Array, "seq hidden"],
 ) -> Float[jax.Array, "time seq hidden"]:
     """`models.gru.gru_scan`, float32 and reverse mode only. Call it where `missing_kernels()` is None."""
     states = jax.ShapeDtypeStruct((*projected.shape[:2], kernel.shape[0]), jnp.float32)
-    return _call("gru_forward", states, kernel, bias, projected)
+    return _call("gru_forward", states, kernel, bias, projected, start)
 
 
-def _gru_forward(kernel: jax.Array, bias: jax.Array, projected: jax.Array) -> tuple[jax.Array, tuple[Any, ...]]:
-    states = gru_scan(kernel, bias, projected)
-    return states, (kernel, bias, projected, states)
+def _gru_forward(*arrays: Any) -> tuple[jax.Array, tuple[Any, ...]]:
+    states = gru_scan(*arrays)
+    return states, (*arrays, states)
 
 
 def _gru_backward(residuals: tuple[Any, ...], cotangent: Any) -> tuple[jax.Array, ...]:
-    return tuple(_call("gru_backward", residuals[:3], *residuals, cotangent))
+    return tuple(_call("gru_backward", residuals[:-1], *residuals, cotangent))
 
 
 gru_scan.defvjp(_gru_forward, _gru_backward)

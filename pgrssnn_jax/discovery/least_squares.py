@@ -19,11 +19,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.acceleration.compiler import quick_jit
+from pgrssnn_jax.acceleration.devices import over_devices
 from pgrssnn_jax.discovery.free_runs import by_start, free_run, time_first, with_derivatives
 from pgrssnn_jax.discovery.problem import Code, Problem, Signals
 from pgrssnn_jax.discovery.solve import identity_like, solve
 from pgrssnn_jax.records.record import Array
-from pgrssnn_jax.training.members import over_devices
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice

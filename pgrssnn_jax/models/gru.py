@@ -39,33 +39,39 @@ def gru_scan(
     kernel: Float[jax.Array, "hidden gates"],
     bias: Float[jax.Array, " gates"] | None,
     projected: Float[jax.Array, "time seq gates"],
+    start: Float[jax.Array, "seq hidden"],
 ) -> Float[jax.Array, "time seq hidden"]:
-    """h_1 .. h_T from h_0 = 0.
+    """h_1 .. h_T from h_0 = start.
 
     The derivative rule keeps one small product per step in the backward scan and forms the kernel's gradient as
     one product over all samples afterwards, where plain reverse mode adds an outer product per step: half the time.
     Reverse mode only.
     """
-    return _scan(kernel, bias, projected)[0]
+    return _scan(kernel, bias, projected, start)[0]
 
 
-def _scan(kernel: jax.Array, bias: jax.Array | None, projected: jax.Array) -> tuple[jax.Array, tuple[jax.Array, ...]]:
+def _scan(
+    kernel: jax.Array, bias: jax.Array | None, projected: jax.Array, start: jax.Array
+) -> tuple[jax.Array, tuple[jax.Array, ...]]:
     def body(h: jax.Array, p: jax.Array) -> tuple[jax.Array, tuple[jax.Array, tuple[jax.Array, ...]]]:
         h, saved = gru_step(kernel, bias, h, p)
         return h, (h, saved)
 
-    start = jnp.zeros((projected.shape[1], kernel.shape[0]), projected.dtype)
     return jax.lax.scan(body, start, projected)[1]
 
 
-def _forward(kernel: jax.Array, bias: jax.Array | None, projected: jax.Array) -> tuple[jax.Array, tuple[Any, ...]]:
-    states, saved = _scan(kernel, bias, projected)
-    return states, (kernel, bias, states, saved)
+def _forward(
+    kernel: jax.Array, bias: jax.Array | None, projected: jax.Array, start: jax.Array
+) -> tuple[jax.Array, tuple[Any, ...]]:
+    states, saved = _scan(kernel, bias, projected, start)
+    return states, (kernel, bias, start, states, saved)
 
 
-def _backward(residuals: tuple[Any, ...], cotangent: jax.Array) -> tuple[jax.Array, jax.Array | None, jax.Array]:
-    kernel, bias, states, (gates, n, recurrent_n) = residuals
-    before = delayed(states)
+def _backward(
+    residuals: tuple[Any, ...], cotangent: jax.Array
+) -> tuple[jax.Array, jax.Array | None, jax.Array, jax.Array]:
+    kernel, bias, start, states, (gates, n, recurrent_n) = residuals
+    before = delayed(states, start)
     hidden = before.shape[-1]
     to_rz, to_n = jnp.split(kernel.T, [2 * hidden])
 
@@ -82,11 +88,11 @@ def _backward(residuals: tuple[Any, ...], cotangent: jax.Array) -> tuple[jax.Arr
         return back + z * d, (d_projected, d_recurrent_n)
 
     steps = (cotangent, gates, n, recurrent_n, before)
-    _, (d_projected, d_recurrent_n) = jax.lax.scan(body, jnp.zeros_like(cotangent[0]), steps, reverse=True)
+    d_start, (d_projected, d_recurrent_n) = jax.lax.scan(body, jnp.zeros_like(start), steps, reverse=True)
     d_recurrent = [_rows(d_projected)[:, : 2 * hidden], _rows(d_recurrent_n)]
     d_kernel = jnp.concatenate([_rows(before).T @ d for d in d_recurrent], -1)
     d_bias = None if bias is None else jnp.concatenate([d.sum(0) for d in d_recurrent]).astype(bias.dtype)
-    return d_kernel.astype(kernel.dtype), d_bias, d_projected
+    return d_kernel.astype(kernel.dtype), d_bias, d_projected, d_start
 
 
 def _rows(signal: jax.Array) -> Float[jax.Array, "samples c"]:
@@ -97,9 +103,9 @@ def _rows(signal: jax.Array) -> Float[jax.Array, "samples c"]:
 gru_scan.defvjp(_forward, _backward)
 
 
-def delayed(states: Float[jax.Array, "time seq c"]) -> Float[jax.Array, "time seq c"]:
-    """h_0 .. h_{T-1} with h_0 = 0, from h_1 .. h_T."""
-    return jnp.concatenate([jnp.zeros_like(states[:1]), states[:-1]])
+def delayed(states: Float[jax.Array, "time seq c"], start: Float[jax.Array, "seq c"]) -> Float[jax.Array, "time seq c"]:
+    """h_0 .. h_{T-1} with h_0 = start, from h_1 .. h_T."""
+    return jnp.concatenate([start[None], states[:-1]])
 
 
 class GRU(nnx.Module):
@@ -126,13 +132,18 @@ class GRU(nnx.Module):
         return gru_step(*self._recurrent(), h, projected)[0]
 
     def scan(
-        self, projected: Float[jax.Array, "time seq gates"], *, native: bool = False
+        self,
+        projected: Float[jax.Array, "time seq gates"],
+        start: Float[jax.Array, "seq hidden"],
+        *,
+        native: bool = False,
     ) -> Float[jax.Array, "time seq hidden"]:
         """native: by the C++ kernel, which computes in float32; other precisions take the scan."""
         kernel, bias = self._recurrent()
+        start = start.astype(projected.dtype)
         if not native or projected.dtype != jnp.float32:
-            return gru_scan(kernel, bias, projected)
-        return kernels.gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected)
+            return gru_scan(kernel, bias, projected, start)
+        return kernels.gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected, start)
 
     def _recurrent(self) -> tuple[jax.Array, jax.Array | None]:
         return self.hidden_kernel[...], None if self.hidden_bias is None else self.hidden_bias[...]

@@ -5,15 +5,19 @@ Three routes with equal results (to rounding):
     split  without feedback f_nn depends on u alone: feature layers, input projections, heads and measurement networks
            are batched over time, and only the GRU recurrence and the physics step stay in scans
     native split, with GRU recurrence and dense layers in C++ kernels (`acceleration/native.py`)
+
+Each can take a long record in chunks of samples: what is batched over time then stays in the processor's cache.
 """
 
+from collections.abc import Callable
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
+from pgrssnn_jax.acceleration.devices import over_devices
 from pgrssnn_jax.acceleration.native import missing_kernels
 from pgrssnn_jax.models.gru import delayed
 from pgrssnn_jax.models.model import Model, ModelParams
@@ -22,6 +26,13 @@ from pgrssnn_jax.records.arguments import check_kind
 from pgrssnn_jax.records.record import Array
 
 Route = Literal["fused", "split", "native"]
+
+
+class _State(NamedTuple):
+    """What a sample hands on to the next: x `[seq, x]`, and h `[seq, hidden]` of every GRU layer."""
+
+    x: jax.Array
+    h: tuple[jax.Array, ...]
 
 
 class Trajectory(NamedTuple):
@@ -41,14 +52,17 @@ def rollout(
     *,
     route: Route | None = None,
     valid: Bool[Array, "seq time"] | None = None,
+    chunk: int | None = None,
+    devices: int = 1,
 ) -> Trajectory:
     """Predicts every sequence of one member. u and x0 in physical units; the GRU starts at zero.
 
     The physics is computed in the precision of x0. route None takes `split` wherever it is possible. A state that
     leaves the floating-point range does not raise; it is reported in `first_bad`. valid (`records.valid_mask`): where
-    it is False the state is held, so that padding can neither fail nor spoil a gradient. Raises `ValueError` for an
-    unknown or unavailable route, for another route than `fused` with a feedback model, and for shapes other than the
-    model's.
+    it is False the physics' state is held, so that padding can neither fail nor spoil a gradient. chunk: samples that
+    are batched at a time (None: all), with equal results to rounding; some thousand rows (samples times sequences) are
+    fastest. devices: JAX devices that share the sequences. Raises `ValueError` for an unknown or unavailable route, for
+    another route than `fused` with a feedback model, and for shapes other than the model's.
     """
     if route not in (None, "fused", "split", "native"):
         raise ValueError(f"rollout: route: expected 'fused', 'split', 'native' or None, found {route!r}")
@@ -56,21 +70,48 @@ def rollout(
         raise ValueError(f"rollout: route: expected 'fused' for a model with state feedback, found {route!r}")
     if route == "native" and (missing := missing_kernels()):
         raise ValueError(f"rollout: route: expected 'split' or None here, found 'native': {missing}")
+    if chunk is not None and chunk < 1:
+        raise ValueError(f"rollout: chunk: expected at least 1 sample, found {chunk}")
+    if not 1 <= devices <= jax.device_count():
+        raise ValueError(f"rollout: devices: expected 1 to {jax.device_count()}, found {devices}")
     check_kind("rollout: model", model, Model, "a model, ensemble.model say")
     u, x0 = jnp.asarray(u), jnp.asarray(x0)
     x0 = x0 if jnp.issubdtype(x0.dtype, jnp.floating) else x0.astype(jnp.float32)
     _check_shapes(model, u, x0, valid)
+    if devices > 1:
+        shared = partial(rollout, model, params, route=route, chunk=chunk)
+        return over_devices(lambda u, x0, valid: shared(u, x0, valid=valid), devices)(u, x0, valid)
     networks = model.networks(params)
     params = params._replace(physics=jax.tree.map(lambda p: jnp.asarray(p, x0.dtype), params.physics))
-    u_time = jnp.swapaxes(u, 0, 1)
-    fused = route == "fused" or model.spec.feedback
+    native, fused = route == "native", route == "fused" or model.spec.feedback
+    states = partial(_fused if fused else partial(_split, native=native), model, params, networks)
+
+    def run(start: _State, signals: tuple[jax.Array, jax.Array | None]) -> tuple[_State, tuple[jax.Array, jax.Array]]:
+        end, x = states(start, *signals)
+        read = x if model.physics.output_timing == "after_step" else jnp.concatenate([start.x[None], x[:-1]])
+        return end, (x, _measure(model, params, networks, read, signals[0], native=native))
+
+    layers = len(networks.gru) if networks is not None else 0
+    start = _State(x0, (jnp.zeros((len(x0), model.spec.hidden), x0.dtype),) * layers)
     held = None if valid is None else ~jnp.swapaxes(jnp.asarray(valid), 0, 1)
-    run = _fused if fused else partial(_split, native=route == "native")
-    x_time = run(model, params, networks, u_time, x0, held)
-    read = x_time if model.physics.output_timing == "after_step" else jnp.concatenate([x0[None], x_time[:-1]])
-    y_time = _measure(model, params, networks, read, u_time, native=route == "native")
-    x, y = jnp.swapaxes(x_time, 0, 1), jnp.swapaxes(y_time, 0, 1)
+    found = _in_chunks(run, start, (jnp.swapaxes(u, 0, 1), held), chunk)
+    x, y = (jnp.swapaxes(a, 0, 1) for a in found)
     return Trajectory(y, x, first_not_finite(x, y))
+
+
+def _in_chunks(run: Callable[[_State, Any], tuple[_State, Any]], start: _State, signals: Any, chunk: int | None) -> Any:
+    """What `run` gives of signals `[time, ...]` in pieces, each from the state in which the one before it ended."""
+    time = len(jax.tree.leaves(signals)[0])
+    if chunk is None or chunk >= time:
+        return run(start, signals)[1]
+    whole = time - time % chunk
+    pieces = jax.tree.map(lambda a: a[:whole].reshape(-1, chunk, *a.shape[1:]), signals)
+    state, found = jax.lax.scan(run, start, pieces)
+    found = jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), found)
+    if whole == time:
+        return found
+    rest = run(state, jax.tree.map(lambda a: a[whole:], signals))[1]
+    return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), found, rest)
 
 
 def _check_shapes(model: Model, u: jax.Array, x0: jax.Array, valid: Array | None) -> None:
@@ -99,16 +140,18 @@ def _physics_step(model: Model, params: ModelParams, x: jax.Array, u: jax.Array)
 
 
 def _fused(
-    model: Model, params: ModelParams, networks: Networks | None, u: jax.Array, x0: jax.Array, held: jax.Array | None
-) -> jax.Array:
+    model: Model, params: ModelParams, networks: Networks | None, start: _State, u: jax.Array, held: jax.Array | None
+) -> tuple[_State, jax.Array]:
     """x `[time, seq, x]` by one scan; the carry is one packed array `[seq, x + layers · hidden]`."""
-    n_x, hidden = model.n_x, model.spec.hidden
-    layers = len(networks.gru) if networks is not None else 0
+    n_x, hidden, layers = model.n_x, model.spec.hidden, len(start.h)
     u_scaled = params.scaling.u.to_scaled(u)
+
+    def parts(carry: jax.Array) -> list[jax.Array]:
+        return jnp.split(carry, [n_x + i * hidden for i in range(layers)], axis=1) if layers else [carry]
 
     def body(carry: jax.Array, inputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         u_t, u_t_scaled, *held_t = inputs
-        x, *h = jnp.split(carry, [n_x + i * hidden for i in range(layers)], axis=1) if layers else (carry,)
+        x, *h = parts(carry)
         new = _physics_step(model, params, x, u_t)
         if networks is not None:
             seen = u_t_scaled
@@ -123,39 +166,43 @@ def _fused(
         new = _hold(held_t, x, new)
         return jnp.concatenate([new, *h], -1), new
 
-    start = jnp.concatenate([x0, jnp.zeros((x0.shape[0], layers * hidden), x0.dtype)], -1)
-    return jax.lax.scan(body, start, (u, u_scaled) if held is None else (u, u_scaled, held))[1]
+    packed = jnp.concatenate([start.x, *start.h], -1)
+    end, found = jax.lax.scan(body, packed, (u, u_scaled) if held is None else (u, u_scaled, held))
+    x, *h = parts(end)
+    return _State(x, tuple(h)), found
 
 
 def _split(
     model: Model,
     params: ModelParams,
     networks: Networks | None,
+    start: _State,
     u: jax.Array,
-    x0: jax.Array,
     held: jax.Array | None,
     *,
     native: bool,
-) -> jax.Array:
+) -> tuple[_State, jax.Array]:
     """x `[time, seq, x]` with everything but the two recurrences batched over time."""
+    last = []
     if networks is None:
-        correction = jnp.zeros((*u.shape[:2], model.n_x), x0.dtype)
+        correction = jnp.zeros((*u.shape[:2], model.n_x), start.x.dtype)
     else:
-        phi = networks.phi_u(params.scaling.u.to_scaled(u), native=native)
-        states = phi
-        for layer in networks.gru:
-            states = layer.scan(layer.project(states), native=native)
-        h_before = delayed(states) if len(networks.gru) else None
+        states = phi = networks.phi_u(params.scaling.u.to_scaled(u), native=native)
+        for layer, h in zip(networks.gru, start.h, strict=True):
+            states = layer.scan(layer.project(states), h, native=native)
+            last.append(states[-1].astype(h.dtype))
+        h_before = delayed(states, start.h[-1]) if last else None
         correction = params.scaling.x.unscale_difference(model.whole(networks.f_nn(h_before, phi, native=native)))
     if not model.spec.guided:
-        return correction
+        return _State(correction[-1], tuple(last)), correction
 
     def body(x: jax.Array, inputs: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
         u_t, correction_t, *held_t = inputs
         x = _hold(held_t, x, _physics_step(model, params, x, u_t) + correction_t)
         return x, x
 
-    return jax.lax.scan(body, x0, (u, correction) if held is None else (u, correction, held))[1]
+    x, found = jax.lax.scan(body, start.x, (u, correction) if held is None else (u, correction, held))
+    return _State(x, tuple(last)), found
 
 
 def _hold(held: list[jax.Array], old: jax.Array, new: jax.Array) -> jax.Array:

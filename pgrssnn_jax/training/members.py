@@ -11,9 +11,9 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.sharding import AxisType, PartitionSpec
 
 from pgrssnn_jax.acceleration.compiler import optimised
+from pgrssnn_jax.acceleration.devices import over_devices
 
 
 class Member(NamedTuple):
@@ -63,26 +63,6 @@ def map_members(one: Callable[..., Any], mapping: MemberMapping) -> Callable[...
         return jax.lax.map(lambda args: one(*args), trees, batch_size=mapping.sub_batch)
 
     return over_devices(on_one_device, mapping.devices)
-
-
-def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., Any]:
-    """The same function of trees with a leading axis, that axis sharded over the first `devices` JAX devices; padded to
-    a multiple of them with copies of the last entry, which are dropped again."""
-    if devices == 1:
-        return function
-    chosen = jax.devices()[:devices]
-    mesh = jax.make_mesh((devices,), ("member",), axis_types=(AxisType.Auto,), devices=chosen)
-    spec = PartitionSpec("member")
-    sharded = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-
-    def on_devices(*trees: Any) -> Any:
-        count = len(jax.tree.leaves(trees)[0])
-        missing = -count % devices
-        if missing:
-            trees = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)]), trees)
-        return jax.tree.map(lambda a: a[:count], sharded(*trees))
-
-    return on_devices
 
 
 def keys_of(chosen: Sequence[Member]) -> jax.Array:

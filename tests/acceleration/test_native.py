@@ -14,10 +14,11 @@ needs_kernel = pytest.mark.skipif(missing_kernels() is not None, reason=f"no ker
 
 
 def weights(hidden, time, sequences, *members, seed=0):
-    keys = jax.random.split(jax.random.key(seed), 3)
+    keys = jax.random.split(jax.random.key(seed), 4)
     kernel = jax.random.normal(keys[0], (*members, hidden, 3 * hidden)) * hidden**-0.5
     bias = 0.3 * jax.random.normal(keys[1], (*members, 3 * hidden))
-    return kernel, bias, jax.random.normal(keys[2], (*members, time, sequences, 3 * hidden))
+    projected = jax.random.normal(keys[2], (*members, time, sequences, 3 * hidden))
+    return kernel, bias, projected, jax.random.normal(keys[3], (*members, sequences, hidden))
 
 
 def gradients(scan, arrays):
@@ -47,19 +48,17 @@ def test_gradients_are_those_of_finite_differences():
 
 @needs_kernel
 def test_gates_that_saturate_stay_finite_and_right():
-    kernel, bias, projected = weights(16, 20, 3)
-    projected = 200.0 * projected
-    np.testing.assert_allclose(
-        gru_kernel(kernel, bias, projected), gru_scan(kernel, bias, projected), rtol=0, atol=2e-6
-    )
-    assert all(np.isfinite(g).all() for g in gradients(gru_kernel, (kernel, bias, projected)))
+    kernel, bias, projected, start = weights(16, 20, 3)
+    arrays = kernel, bias, 200.0 * projected, start
+    np.testing.assert_allclose(gru_kernel(*arrays), gru_scan(*arrays), rtol=0, atol=2e-6)
+    assert all(np.isfinite(g).all() for g in gradients(gru_kernel, arrays))
 
 
 @needs_kernel
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_what_is_not_finite_shows_from_its_sample_on(bad):
-    kernel, bias, projected = weights(16, 12, 2)
-    states = gru_kernel(kernel, bias, projected.at[7, 1, 3].set(bad).at[7, 1, 35].set(np.nan))
+    kernel, bias, projected, start = weights(16, 12, 2)
+    states = gru_kernel(kernel, bias, projected.at[7, 1, 3].set(bad).at[7, 1, 35].set(np.nan), start)
     assert np.isfinite(states[:7]).all()
     assert np.isfinite(states[:, 0]).all()
     assert not np.isfinite(states[7:, 1]).all(-1).any()
@@ -77,10 +76,10 @@ def test_members_are_computed_as_if_alone(how):
 
 @needs_kernel
 def test_members_may_share_their_weights():
-    kernel, bias, projected = weights(16, 30, 2)
+    kernel, bias, projected, start = weights(16, 30, 2)
     projected = jnp.stack([projected, -projected])
-    found = jax.vmap(gru_kernel, (None, None, 0))(kernel, bias, projected)
-    np.testing.assert_array_equal(found[1], gru_kernel(kernel, bias, projected[1]))
+    found = jax.vmap(gru_kernel, (None, None, 0, None))(kernel, bias, projected, start)
+    np.testing.assert_array_equal(found[1], gru_kernel(kernel, bias, projected[1], start))
 
 
 def layers(n_in, hidden, n_out, rows, *members):

@@ -31,7 +31,8 @@ def run(layers, u):
         gru = GRU(n_in, gates // 3, bias=True, rngs=nnx.Rngs(0))
         for name, value in weights.items():
             setattr(gru, name, nnx.Param(value))
-        u = gru.scan(gru.project(u))
+        projected = gru.project(u)
+        u = gru.scan(projected, jnp.zeros((u.shape[1], gates // 3), projected.dtype))
     return u
 
 
@@ -82,27 +83,26 @@ def test_two_layers_equal_torch_live():
 
 def problem(seed=0, *, bias, time=6, seq=2, hidden=3):
     draw = np.random.default_rng(seed)
-    kernel, b, projected = (
+    kernel, b, projected, start = (
         jnp.asarray(draw.normal(size=shape), float)
-        for shape in ((hidden, 3 * hidden), (3 * hidden,), (time, seq, 3 * hidden))
+        for shape in ((hidden, 3 * hidden), (3 * hidden,), (time, seq, 3 * hidden), (seq, hidden))
     )
-    return kernel, b if bias else None, projected
+    return kernel, b if bias else None, projected, start
 
 
-def plain_scan(kernel, bias, projected):
+def plain_scan(kernel, bias, projected, start):
     def body(h, p):
         h, _ = gru_step(kernel, bias, h, p)
         return h, h
 
-    return jax.lax.scan(body, jnp.zeros((projected.shape[1], kernel.shape[0]), projected.dtype), projected)[1]
+    return jax.lax.scan(body, start, projected)[1]
 
 
-def by_hand(kernel, bias, projected):
+def by_hand(kernel, bias, projected, h):
     """Gate by gate in NumPy, from the published equations."""
     w_r, w_z, w_n = np.split(np.asarray(kernel), 3, axis=1)
     b_r, b_z, b_n = np.split(np.zeros(kernel.shape[1]) if bias is None else np.asarray(bias), 3)
     states = []
-    h = np.zeros((projected.shape[1], kernel.shape[0]))
     for p in np.asarray(projected):
         p_r, p_z, p_n = np.split(p, 3, axis=1)
         r = 1 / (1 + np.exp(-(p_r + h @ w_r + b_r)))
@@ -123,9 +123,9 @@ def test_scan_equals_a_loop_over_the_equations(bias, time):
 
 @pytest.mark.parametrize("bias", [False, True])
 def test_scan_equals_repeated_steps(bias):
-    kernel, b, projected = problem(bias=bias)
-    h, step = jnp.zeros((2, 3)), jax.jit(lambda h, p: gru_step(kernel, b, h, p)[0])
-    for p, found in zip(projected, np.asarray(gru_scan(kernel, b, projected)), strict=True):
+    kernel, b, projected, h = problem(bias=bias)
+    step = jax.jit(lambda h, p: gru_step(kernel, b, h, p)[0])
+    for p, found in zip(projected, np.asarray(gru_scan(kernel, b, projected, h)), strict=True):
         h = step(h, p)
         np.testing.assert_allclose(found, h, rtol=1e-5, atol=1e-6)
 
@@ -134,12 +134,12 @@ def test_scan_equals_repeated_steps(bias):
 @pytest.mark.parametrize("bias", [False, True])
 def test_derivative_rule_equals_plain_reverse_mode(bias):
     """With a cotangent that differs at every sample, so that nothing cancels."""
-    kernel, b, projected = problem(bias=bias)
+    kernel, b, projected, start = problem(bias=bias)
     weight = jnp.asarray(np.random.default_rng(1).normal(size=(*projected.shape[:2], kernel.shape[0])))
 
     def gradient(scan):
-        wanted = (0, 1, 2) if bias else (0, 2)
-        return quick_jit(jax.grad(lambda *args: jnp.vdot(weight, scan(*args)), wanted))(kernel, b, projected)
+        wanted = (0, 1, 2, 3) if bias else (0, 2, 3)
+        return quick_jit(jax.grad(lambda *args: jnp.vdot(weight, scan(*args)), wanted))(kernel, b, projected, start)
 
     for found, expected in zip(gradient(gru_scan), gradient(plain_scan), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-12)
@@ -148,13 +148,14 @@ def test_derivative_rule_equals_plain_reverse_mode(bias):
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("bias", [False, True])
 def test_derivative_rule_equals_finite_differences(bias):
-    kernel, b, projected = problem(bias=bias, time=3)
+    kernel, b, projected, start = problem(bias=bias, time=3)
 
     @jax.jit
-    def scan(kernel, projected, *b):
-        return gru_scan(*(jnp.asarray(a) for a in (kernel, *b)), *([] if b else [None]), jnp.asarray(projected))
+    def scan(kernel, projected, start, *b):
+        kernel, projected, start, *b = map(jnp.asarray, (kernel, projected, start, *b))
+        return gru_scan(kernel, b[0] if b else None, projected, start)
 
-    check_grads(scan, (kernel, projected, *([b] if bias else [])), order=1, modes=["rev"], rtol=1e-6)
+    check_grads(scan, (kernel, projected, start, *([b] if bias else [])), order=1, modes=["rev"], rtol=1e-6)
 
 
 def test_derivative_rule_under_vmap_is_that_of_each_member():
@@ -168,15 +169,17 @@ def test_derivative_rule_under_vmap_is_that_of_each_member():
 
 
 def test_a_saturated_gate_has_finite_gradients():
-    kernel, b, projected = problem(bias=True)
-    gradient = quick_jit(jax.grad(lambda *args: jnp.sum(gru_scan(*args)), (0, 1, 2)))(kernel, b, 1e4 * projected)
+    kernel, b, projected, start = problem(bias=True)
+    gradient = quick_jit(jax.grad(lambda *args: jnp.sum(gru_scan(*args)), (0, 1, 2, 3)))(
+        kernel, b, 1e4 * projected, start
+    )
     assert all(np.isfinite(g).all() for g in gradient)
 
 
-def test_delayed_starts_at_zero_and_drops_the_last():
-    states = jnp.arange(1.0, 13.0).reshape(3, 2, 2)
-    np.testing.assert_array_equal(delayed(states), np.concatenate([np.zeros((1, 2, 2)), states[:2]]))
-    np.testing.assert_array_equal(delayed(states[:1]), np.zeros((1, 2, 2)))
+def test_delayed_begins_with_the_start_and_drops_the_last():
+    states, start = jnp.arange(1.0, 13.0).reshape(3, 2, 2), jnp.full((2, 2), 7.0)
+    np.testing.assert_array_equal(delayed(states, start), np.concatenate([start[None], states[:2]]))
+    np.testing.assert_array_equal(delayed(states[:1], start), start[None])
 
 
 # --- the module -------------------------------------------------------------------------------------------------------

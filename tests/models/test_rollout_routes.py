@@ -41,6 +41,50 @@ def test_routes_agree_in_single_precision(key, fields):
             np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
 
 
+# 7 samples: one by one, with a rest, and in more than there are
+@pytest.mark.parametrize(("name", "output_timing", "chunk"), [
+    ("two layers with biases", "after_step", 3), ("two layers with biases", "before_step", 1),
+    ("PG-RSSNN(fb)", "before_step", 3), ("RSSNN-sgm", "after_step", 3), ("dense", "before_step", 50),
+    ("physics", "before_step", 3),
+])  # fmt: skip
+def test_chunks_and_devices_change_nothing(key, name, chunk, output_timing):
+    model = toy_model(SPECS.get(name) or spec(name))
+    model = model._replace(physics=model.physics._replace(output_timing=output_timing))
+    params, (u, x0) = toy_params(model, key), toy_signals()
+    valid = jnp.arange(7)[None] < jnp.array([[7], [4], [1]])
+
+    def run(params, u, x0, **how):
+        y, x, first_bad = quick_jit(lambda *a: rollout(model, *a[:-1], valid=a[-1], **how))(params, u, x0, valid)
+        return y[valid], x[valid], first_bad  # a black box's state is not held by every route
+
+    whole = run(params, u, x0)
+    for route in ROUTES[:1] if model.spec.feedback else ROUTES:
+        for devices in (1, 2):  # three sequences: one device has a copy of the last to compute
+            for a, b in zip(whole, run(params, u, x0, route=route, chunk=chunk, devices=devices), strict=True):
+                np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
+
+
+def test_gradients_pass_from_chunk_to_chunk(key):
+    model = toy_model(SPECS["two layers with biases"])
+    params, (u, x0) = toy_params(model, key), toy_signals()
+
+    def slopes(chunk):
+        return quick_jit(jax.grad(lambda *a: jnp.sum(rollout(model, *a, chunk=chunk).y ** 2), (0, 1, 2)))(params, u, x0)
+
+    for a, b in zip(*(jax.tree.leaves(slopes(chunk)) for chunk in (None, 3)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
+
+
+@pytest.mark.parametrize(("how", "said"), [
+    ({"chunk": 0}, "rollout: chunk: expected at least 1 sample, found 0"),
+    ({"devices": 9}, "rollout: devices: expected 1 to 2, found 9"),
+])  # fmt: skip
+def test_chunks_and_devices_that_cannot_be_are_refused(key, how, said):
+    model = toy_model(spec("PG-RSSNN"))
+    with pytest.raises(ValueError, match=said):
+        rollout(model, toy_params(model, key), *toy_signals(), **how)
+
+
 @pytest.mark.parametrize("name", ["two layers with biases", "RSSNN-sgm", "dense", "physics"])
 def test_gradients_of_the_routes_agree(key, name):
     model = toy_model(SPECS[name])
