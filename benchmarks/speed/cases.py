@@ -137,7 +137,12 @@ def inputs(system: System, sequences: int, samples: int, dtype: Any) -> tuple[ja
 
 
 def rollout_call(
-    model: Model, params: ModelParams, u: jax.Array, x0: jax.Array, *, route: Any = None
+    model: Model, params: ModelParams, u: jax.Array, x0: jax.Array, *, route: Any = None, chunk: Any = "auto"
 ) -> tuple[Any, ...]:
-    """A jitted rollout of one member that returns y, and its arguments."""
-    return jax.jit(lambda params, u, x0: rollout(model, params, u, x0, route=route).y), params, u, x0
+    """A jitted rollout of one member that returns y, and its arguments; several sequences are shared by all devices."""
+    devices = min(len(u), jax.device_count())
+
+    def run(params: ModelParams, u: jax.Array, x0: jax.Array) -> jax.Array:
+        return rollout(model, params, u, x0, route=route, chunk=chunk, devices=devices).y
+
+    return jax.jit(run), params, u, x0

@@ -7,12 +7,10 @@ import numpy as np
 
 from pgrssnn_jax.training.members import MemberMapping
 
-from .cases import SYSTEMS, inputs, model_and_params
-from .measure import Case, Figures, epoch_case, measured, rollout_case
-from .stream import streamed
-from .timing import compiled
+from .cases import SYSTEMS
+from .measure import Figures, epoch_case, measured, rollout_case
 
-MEMBERS, HORIZONS, CHUNK = (1, 10, 50, 200), (64, 605, 1024, 5000, 100_000), 1000
+MEMBERS, HORIZONS = (1, 10, 50, 200), (64, 605, 1024, 5000, 100_000)
 _MOST_MB = 2500.0  # a program of the whole record that needs more is left to the one in chunks
 
 
@@ -30,24 +28,17 @@ def grid_part(name: str, dtype: Any, *, quick: bool) -> Figures:
         sequences = system.run[0]
         for horizon in HORIZONS[:2] if quick else HORIZONS:
             cases = {
-                f"rollout, {sequences} x {horizon}": rollout_case(system, physics, sequences, horizon, dtype=dtype)
+                f"rollout, {sequences} x {horizon}{how}": rollout_case(
+                    system, physics, sequences, horizon, dtype=dtype, chunk=chunk
+                )
+                for how, chunk in {"": "auto", ", all samples at once": None}.items()
             }
-            if horizon == HORIZONS[-1]:
-                cases[f"rollout, {sequences} x {horizon}, in chunks of {CHUNK}"] = streamed_case(name, horizon, dtype)
             kept = {key: one for key, one in cases.items() if one.program and one.program.memory_mb < _MOST_MB}
             found |= measured(kept, repeats if horizon < HORIZONS[-1] else 2)
             for key in cases.keys() - kept.keys():
                 program = cases[key].program
                 found[key] = {"memory_mb": program.memory_mb if program else None}
     return found
-
-
-def streamed_case(name: str, horizon: int, dtype: Any) -> Case:
-    system = SYSTEMS[name]
-    model, params = model_and_params(system, system.physics(), dtype=dtype)
-    u, x0 = inputs(system, system.run[0], horizon, dtype)
-    program = compiled(jax.jit(streamed(model, CHUNK)), params, u, x0)
-    return Case(program.call, 1, program)
 
 
 def mappings_part(*, quick: bool) -> Figures:

@@ -108,11 +108,18 @@ def epoch_case(
 
 
 def rollout_case(
-    system: System, physics: Any, sequences: int, samples: int, *, dtype: Any = np.float32, route: Any = None
+    system: System,
+    physics: Any,
+    sequences: int,
+    samples: int,
+    *,
+    dtype: Any = np.float32,
+    route: Any = None,
+    chunk: Any = "auto",
 ) -> Case:
     model, params = model_and_params(system, physics, dtype=dtype)
     u, x0 = inputs(system, sequences, samples, dtype)
-    program = compiled(*rollout_call(model, params, u, x0, route=route))
+    program = compiled(*rollout_call(model, params, u, x0, route=route, chunk=chunk))
     return Case(program.call, 1, program, rollout_work(system.spec, physics, system.stages, sequences, samples), dtype)
 
 

@@ -72,7 +72,7 @@ def predict(trained: Trained, test: Record) -> Predictions:
 
     def one(state: MemberState, scaling: Scaling, start: Array, test: Record) -> tuple[Array, ...]:
         x0 = objective.test_state(state.best, scaling, start, test)
-        run = _free_run(objective, state, scaling, test.u, x0, valid_mask(test))
+        run = rollout(objective.model, objective.assemble(state.best, scaling), test.u, x0, valid=valid_mask(test))
         alone = _without_networks(objective, state, scaling, test, x0)
         return run.y, _finite(run), x0, run.x, *alone
 
@@ -99,18 +99,13 @@ def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions
     """Runs every member from u `[seq, time, u]` in measured units and x0 `[member, seq, x]` in the physics' units."""
 
     def one(state: MemberState, scaling: Scaling, units: Units, x0: Array) -> tuple[Array, ...]:
-        run = _free_run(trained.objective, state, scaling, units.u.to_scaled(jnp.asarray(u, jnp.float32)), x0, None)
+        own, params = units.u.to_scaled(jnp.asarray(u, jnp.float32)), trained.objective.assemble(state.best, scaling)
+        run = rollout(trained.objective.model, params, own, x0, chunk="auto")
         return run.y, _finite(run)
 
     start = jnp.asarray(x0, jnp.float32)
     y, finite = jit_members(one, trained.mapping)(trained.state, trained.scaling, trained.units, start)
     return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0))
-
-
-def _free_run(
-    objective: Objective, state: MemberState, scaling: Scaling, u: Array, x0: Array, valid: Array | None
-) -> Trajectory:
-    return rollout(objective.model, objective.assemble(state.best, scaling), u, x0, valid=valid)
 
 
 def _without_networks(

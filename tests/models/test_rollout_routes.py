@@ -45,7 +45,7 @@ def test_routes_agree_in_single_precision(key, fields):
 @pytest.mark.parametrize(("name", "output_timing", "chunk"), [
     ("two layers with biases", "after_step", 3), ("two layers with biases", "before_step", 1),
     ("PG-RSSNN(fb)", "before_step", 3), ("RSSNN-sgm", "after_step", 3), ("dense", "before_step", 50),
-    ("physics", "before_step", 3),
+    ("physics", "before_step", 3), ("PG-RSSNN", "after_step", "auto"),
 ])  # fmt: skip
 def test_chunks_and_devices_change_nothing(key, name, chunk, output_timing):
     model = toy_model(SPECS.get(name) or spec(name))
@@ -76,7 +76,7 @@ def test_gradients_pass_from_chunk_to_chunk(key):
 
 
 @pytest.mark.parametrize(("how", "said"), [
-    ({"chunk": 0}, "rollout: chunk: expected at least 1 sample, found 0"),
+    ({"chunk": 0}, "rollout: chunk: expected at least 1 sample, 'auto' or None, found 0"),
     ({"devices": 9}, "rollout: devices: expected 1 to 2, found 9"),
 ])  # fmt: skip
 def test_chunks_and_devices_that_cannot_be_are_refused(key, how, said):

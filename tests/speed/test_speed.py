@@ -13,7 +13,6 @@ import pytest
 from benchmarks.speed import tables
 from benchmarks.speed.cases import SYSTEMS, inputs, model_and_params, training
 from benchmarks.speed.goals import GOALS, Goal
-from benchmarks.speed.stream import streamed
 from benchmarks.speed.timing import compiled, count_compilations, interleaved
 from benchmarks.speed.work import epoch_work, network_operations, operations, physics_operations
 from pgrssnn_jax.models.rollout import rollout
@@ -62,16 +61,6 @@ def test_a_stopped_gradient_costs_no_derivative_of_the_physics():
     assert 1.5 * once < twice < 5 * once
     assert epoch_work(SYSTEMS["arm"].spec, held, 4, 1, 10).stages == 40
     assert epoch_work(SYSTEMS["arm"].spec, free, 4, 1, 10).stages == 80
-
-
-@pytest.mark.parametrize("name", sorted(SYSTEMS))
-def test_chunks_of_a_rollout_give_equal_numbers(name):
-    system = SYSTEMS[name]
-    model, params = model_and_params(system, system.physics())
-    u, x0 = inputs(system, 2, 24, np.float32)
-    expected = np.asarray(rollout(model, params, u, x0).y)
-    found = jax.jit(streamed(model, 8))(params, u, x0)
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
 
 
 def test_calls_are_measured_in_turn_after_one_round_to_warm_up():
