@@ -62,12 +62,13 @@ def training(
     epochs: int = 20,
     dtype: Any = np.float32,
     route: Route | None = None,
+    devices: int = 1,
 ) -> tuple[Fit, MemberData]:
-    """One member and a chunk of `epochs` epochs with one validation."""
+    """One member and a chunk of `epochs` epochs with one validation; devices: that share its sequences."""
     sequences, length = system.train
     data = member_data(system, physics, sequences, samples or length, dtype)
     settings = FitSettings(validate_every=epochs, chunk_epochs=epochs, patience=10**6)
-    objective = build_objective(build_model(system.spec, physics), InitialState(), route=route)
+    objective = build_objective(build_model(system.spec, physics), InitialState(), route=route, devices=devices)
     return Fit(objective, settings), data
 
 

@@ -83,13 +83,14 @@ class PhysicsUnits(NamedTuple):
 
 
 class Objective(NamedTuple):
-    """The objective of one model, as pure functions of θ and a member's data."""
+    """The objective of one model, as pure functions of θ and a member's data; route, devices: of its rollouts."""
 
     model: Model
     initial: InitialState
     physics: PhysicsUnits
     train_physics: bool
     route: Route | None
+    devices: int
 
     def begin(self, key: jax.Array, data: MemberData) -> Trainable:
         """θ before training: fresh weights, nominal physics, training sequences started at their first outputs."""
@@ -166,7 +167,7 @@ class Objective(NamedTuple):
             return self._predicted(params, record, start_state(self.model, params, record, self.initial))
         before = data.train.u.shape[1]
         u = jnp.concatenate([jnp.asarray(data.train.u), jnp.asarray(record.u)], 1)
-        whole = rollout(self.model, params, u, self._train_state(theta, params, data), route=self.route)
+        whole = self._rollout(params, u, self._train_state(theta, params, data), None)
         return Trajectory(whole.y[:, before:], whole.x[:, before:], jnp.maximum(whole.first_bad - before, 0))
 
     def as_tested(self, theta: Trainable, data: MemberData) -> Trajectory:
@@ -201,7 +202,11 @@ class Objective(NamedTuple):
         return params.scaling.x.to_physical(theta.x0)
 
     def _predicted(self, params: ModelParams, record: Record, x0: jax.Array) -> Trajectory:
-        return rollout(self.model, params, record.u, x0, route=self.route, valid=valid_mask(record))
+        return self._rollout(params, record.u, x0, valid_mask(record))
+
+    def _rollout(self, params: ModelParams, u: Array, x0: jax.Array, valid: Array | None) -> Trajectory:
+        devices = min(self.devices, len(u))
+        return rollout(self.model, params, u, x0, route=self.route, valid=valid, devices=devices)
 
     def _penalty(self, params: ModelParams, record: Record, x: Array) -> Float[jax.Array, ""]:
         """The weighted regularisation of a fed-back model that predicts the states x `[seq, time, x]` of a record."""
@@ -230,7 +235,12 @@ def _loss(params: ModelParams, record: Record, predicted: Trajectory) -> Loss:
 
 
 def build_objective(
-    model: Model, initial: InitialState, *, train_physics: bool = False, route: Route | None = None
+    model: Model,
+    initial: InitialState,
+    *,
+    train_physics: bool = False,
+    route: Route | None = None,
+    devices: int = 1,
 ) -> Objective:
     """train_physics: are the physics parameters part of θ?"""
     nominal = jax.tree.map(jnp.asarray, model.physics.params)
@@ -239,4 +249,4 @@ def build_objective(
         jax.tree.map(of, model.physics.parameters, is_leaf=is_parameter)
         for of in (lambda p: p.bounds[0], lambda p: p.bounds[1], lambda p: p.trainable)
     )
-    return Objective(model, initial, PhysicsUnits(nominal, size, low, high, free), train_physics, route)
+    return Objective(model, initial, PhysicsUnits(nominal, size, low, high, free), train_physics, route, devices)

@@ -48,3 +48,20 @@ def test_an_odd_number_of_members_with_a_failing_one_trains_alike_on_one_and_two
     # every member has trained, on data of its own
     assert len(np.unique(one.best_loss)) == 5
     assert (its.train[:4, -1, -1] < its.train[:4, 0, 0]).all()
+
+
+def test_sequences_shared_by_two_devices_train_alike():
+    """Five sequences: one device computes a copy of the last, which must not count."""
+    settings = FitSettings(epochs=6, validate_every=3, chunk_epochs=6, learning_rate=1e-2)
+    fit, data = small_fit(settings=settings, members=5)
+    data = jax.tree.map(lambda a: a[:1], data)._replace(train=jax.tree.map(lambda a: a.swapaxes(0, 1), data.train))
+    data = data._replace(train=data.train._replace(y=data.train.y * np.linspace(0.9, 1.1, 5)[:, None, None].astype(np.float32)))
+    found = []
+    for devices in (1, 2):
+        own = fit._replace(objective=fit.objective._replace(devices=devices))
+        state = quick_jit(map_members(own.begin, MemberMapping()))(keys_of([Member(0, 0)]), data)
+        found.append(quick_jit(map_members(own.advance, MemberMapping()))(state, data)[1])
+    one, two = found
+    assert (one.train[:, -1, -1] < one.train[:, 0, 0]).all()
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-4)
