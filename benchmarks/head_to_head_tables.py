@@ -71,7 +71,8 @@ def _figures(method: str, rows: Sequence[Row]) -> tuple[str, ...] | None:
 
 def _closed(row: Row) -> float:
     """Of the error of the nominal physics above the noise, the part that is gone."""
-    return -np.inf if row["after"] is None else (row["before"] - row["after"]) / (row["before"] - 1.0)
+    known = row["after"] is not None and row["before"] is not None
+    return (row["before"] - row["after"]) / (row["before"] - 1.0) if known else -np.inf
 
 
 def _by_effect(rows: Sequence[Row]) -> str:
@@ -134,7 +135,6 @@ def _laws(rows: Sequence[Row]) -> str:
     for name, (_, accepted) in with_adcd.LAWS.items():
         own, other = ours.get(name), adcd.get(name)
         said = f"{own['verdict']} {', '.join(own['names'])}".strip() if own else "–"
-        said += f", {100 * own['parameter_error']:.1f} % off" if own and own["parameter_error"] is not None else ""
         wanted = ", ".join(accepted) or "unknown_effect"
         lines.append((name, wanted, said, _formula(other), _yes(own), _yes(other)))
     head = ("scenario", "right here", "pgrssnn_jax says", "ADCD says", "right", "ADCD right")

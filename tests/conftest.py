@@ -58,6 +58,14 @@ def key() -> jax.Array:
     return jax.random.key(20260715)
 
 
+@pytest.fixture(autouse=True)
+def freed(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Slow tests compile as users do; a worker that keeps all their programs needs many gigabytes and is aborted."""
+    yield
+    if request.node.get_closest_marker("slow"):
+        jax.clear_caches()
+
+
 @pytest.fixture
 def x64() -> Iterator[None]:
     """Double precision for this test only."""

@@ -1,4 +1,4 @@
-"""The recurrence alone: ours and `torch.nn.GRU`, one layer without biases, inputs projected inside."""
+"""The recurrence alone: ours by XLA and by the C++ kernel, and `torch.nn.GRU`; no biases, inputs projected inside."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import nnx
 
+from pgrssnn_jax.acceleration.native import missing_kernels
 from pgrssnn_jax.models.gru import GRU
 
 from .timing import compiled
@@ -15,14 +16,20 @@ from .timing import compiled
 
 def ours(time: int, sequences: int, hidden: int) -> dict[str, Callable[[], Any]]:
     graph, weights = nnx.split(GRU(hidden, hidden, bias=False, rngs=nnx.Rngs(0)))
+    u, start = jnp.asarray(_signal(time, sequences, hidden)), jnp.zeros((sequences, hidden))
+    found = {}
+    for form, native in {"ours": False, "ours, C++ kernel": True}.items():
+        if native and missing_kernels():
+            continue
 
-    def run(weights: Any, u: jax.Array) -> jax.Array:
-        gru = nnx.merge(graph, weights)
-        return gru.scan(gru.project(u))
+        def run(weights: Any, u: jax.Array, native: bool = native) -> jax.Array:
+            gru = nnx.merge(graph, weights)
+            return gru.scan(gru.project(u), start, native=native)
 
-    gradient = jax.jit(jax.value_and_grad(lambda weights, u: jnp.sum(run(weights, u) ** 2)))
-    u = jnp.asarray(_signal(time, sequences, hidden))
-    return {"ours": compiled(jax.jit(run), weights, u).call, "ours with gradient": compiled(gradient, weights, u).call}
+        gradient = jax.value_and_grad(lambda weights, u, run=run: jnp.sum(run(weights, u) ** 2))
+        found[form] = compiled(jax.jit(run), weights, u).call
+        found[f"{form} with gradient"] = compiled(jax.jit(gradient), weights, u).call
+    return found
 
 
 def theirs(time: int, sequences: int, hidden: int) -> dict[str, Callable[[], Any]]:

@@ -54,7 +54,7 @@ def system_part(name: str, *, quick: bool, compare: bool) -> Figures:
     physics = system.physics()
     cases = {}
     for form, route in {"": usual_route(np.float32), XLA: None}.items():
-        counts = {1: None, system.members: None}
+        counts = sorted({1, system.members})
         cases |= {f"epoch, {_counted(n)}{form}": epoch_case(system, physics, n, route=route) for n in counts}
         cases[f"rollout{form}"] = rollout_case(system, physics, *system.run, route=route)
     if compare:
@@ -144,6 +144,6 @@ def _counted(members: int) -> str:
 
 
 def _smaller(system: System) -> System:
-    """A tenth of the samples, and few members."""
+    """A few samples and members."""
     (sequences, length), (runs, steps) = system.train, system.run
     return system._replace(train=(sequences, max(8, length // 30)), run=(runs, steps // 40), members=2)

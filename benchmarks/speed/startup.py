@@ -110,7 +110,7 @@ def _output(command: Sequence[str], cache: Path | None) -> str:
 def _environment(cache: Path | None) -> dict[str, str]:
     """As a user's: without what the benchmark set for itself."""
     kept = {name: value for name, value in os.environ.items() if name not in ("XLA_FLAGS", "OMP_NUM_THREADS")}
-    return {**kept, "JAX_COMPILATION_CACHE_DIR": str(cache)} if cache else kept
+    return {**kept, "XDG_CACHE_HOME": str(cache)} if cache else kept  # of compiled programs and of the C++ kernels
 
 
 def _first_call(state: str, folder: Path) -> dict[str, dict[str, Any]]:

@@ -2,7 +2,8 @@
 
 XLA runs a scan over small matrices step by step through its runtime: for 16 units a step takes ten times longer than
 its arithmetic. The kernels (`kernels/*.cc`) take a whole sequence at once, and keep no intermediate results for the
-gradient. They agree with `models/gru.py` and `models/networks.py` to rounding.
+gradient. They agree with `models/gru.py` and `models/networks.py` to the rounding of a number
+of size 1.
 """
 
 import ctypes

@@ -55,9 +55,9 @@ class TwoDense(nnx.Module):
     def __call__(self, z: Float[jax.Array, "*batch n_in"], *, native: bool = False) -> Float[jax.Array, "*batch n_out"]:
         """native: by the C++ kernel, which computes in float32; other precisions take XLA."""
         rows = z.reshape(-1, z.shape[-1])  # the gradient of a product over one axis of samples is the faster one
-        if native and z.dtype == jnp.float32:
-            layers: Any = (self.first, self.second)
-            weights = (weight[...] for layer in layers for weight in (layer.kernel, layer.bias))
+        layers: Any = (self.first, self.second)
+        weights = [weight[...] for layer in layers for weight in (layer.kernel, layer.bias)]
+        if native and all(a.dtype == jnp.float32 for a in (rows, *weights)):
             y: Any = kernels.two_dense(self.activation == "relu", *weights, rows)
         else:
             y = self.second(ACTIVATIONS[self.activation](self.first(rows)))

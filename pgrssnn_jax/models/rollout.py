@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.acceleration.devices import over_devices
@@ -62,8 +63,9 @@ def rollout(
     leaves the floating-point range does not raise; it is reported in `first_bad`. valid (`records.valid_mask`): where
     it is False the physics' state is held, so that padding can neither fail nor spoil a gradient. chunk: samples that
     are batched at a time, `auto` as many as stay in the cache, None all; results are equal to rounding. devices: JAX
-    devices that share the sequences. Raises `ValueError` for an unknown or unavailable route, for another route than
-    `fused` with a feedback model, and for shapes other than the model's.
+    devices that share the sequences; call it inside `jax.jit`, or every call compiles. Raises `ValueError` for an
+    unknown or unavailable route, for another route than `fused` with a feedback model, and for shapes other than the
+    model's.
     """
     if route not in (None, "fused", "split", "native"):
         raise ValueError(f"rollout: route: expected 'fused', 'split', 'native' or None, found {route!r}")
@@ -71,12 +73,13 @@ def rollout(
         raise ValueError(f"rollout: route: expected 'fused' for a model with state feedback, found {route!r}")
     if route == "native" and (missing := missing_kernels()):
         raise ValueError(f"rollout: route: expected 'split' or None here, found 'native': {missing}")
-    if not (chunk in (None, "auto") or (isinstance(chunk, int) and chunk >= 1)):
+    if not (chunk in (None, "auto") or (_is_count(chunk) and chunk >= 1)):
         raise ValueError(f"rollout: chunk: expected at least 1 sample, 'auto' or None, found {chunk!r}")
-    if not 1 <= devices <= jax.device_count():
-        raise ValueError(f"rollout: devices: expected 1 to {jax.device_count()}, found {devices}")
+    if not (_is_count(devices) and 1 <= devices <= jax.device_count()):
+        raise ValueError(f"rollout: devices: expected 1 to {jax.device_count()}, found {devices!r}")
     check_kind("rollout: model", model, Model, "a model, ensemble.model say")
     u, x0 = jnp.asarray(u), jnp.asarray(x0)
+    valid = None if valid is None else jnp.asarray(valid)
     x0 = x0 if jnp.issubdtype(x0.dtype, jnp.floating) else x0.astype(jnp.float32)
     _check_shapes(model, u, x0, valid)
     if devices > 1:
@@ -96,10 +99,14 @@ def rollout(
 
     layers = len(networks.gru) if networks is not None else 0
     start = _State(x0, (jnp.zeros((len(x0), model.spec.hidden), x0.dtype),) * layers)
-    held = None if valid is None else ~jnp.swapaxes(jnp.asarray(valid), 0, 1)
+    held = None if valid is None else ~jnp.swapaxes(valid, 0, 1)
     found = _in_chunks(run, start, (jnp.swapaxes(u, 0, 1), held), chunk)
     x, y = (jnp.swapaxes(a, 0, 1) for a in found)
     return Trajectory(y, x, first_not_finite(x, y))
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _in_chunks(run: Callable[[_State, Any], tuple[_State, Any]], start: _State, signals: Any, chunk: int | None) -> Any:

@@ -15,7 +15,7 @@ from pgrssnn_jax.models.rollout import Trajectory, rollout
 from pgrssnn_jax.physics.stiffness import of_shorter_steps, stays_finite
 from pgrssnn_jax.records.record import Array, Record, take, valid_mask
 from pgrssnn_jax.records.scaling import Scaling, Units
-from pgrssnn_jax.training.members import Member, MemberMapping, jit_members
+from pgrssnn_jax.training.members import Member, MemberMapping, jit_members, repeat
 from pgrssnn_jax.training.metrics import all_metrics, rmse
 from pgrssnn_jax.training.objective import MemberData, Objective
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
@@ -98,13 +98,13 @@ def outputs_as_tested(trained: Trained, data: MemberData) -> np.ndarray:
 def predict_from(trained: Trained, u: np.ndarray, x0: np.ndarray) -> Predictions:
     """Runs every member from u `[seq, time, u]` in measured units and x0 `[member, seq, x]` in the physics' units."""
 
-    def one(state: MemberState, scaling: Scaling, units: Units, x0: Array) -> tuple[Array, ...]:
-        own, params = units.u.to_scaled(jnp.asarray(u, jnp.float32)), trained.objective.assemble(state.best, scaling)
-        run = rollout(trained.objective.model, params, own, x0, chunk="auto")
+    def one(state: MemberState, scaling: Scaling, units: Units, u: Array, x0: Array) -> tuple[Array, ...]:
+        params = trained.objective.assemble(state.best, scaling)
+        run = rollout(trained.objective.model, params, units.u.to_scaled(u), x0, chunk="auto")
         return run.y, _finite(run)
 
-    start = jnp.asarray(x0, jnp.float32)
-    y, finite = jit_members(one, trained.mapping)(trained.state, trained.scaling, trained.units, start)
+    start, inputs = jnp.asarray(x0, jnp.float32), repeat(np.asarray(u, np.float32), len(x0))
+    y, finite = jit_members(one, trained.mapping)(trained.state, trained.scaling, trained.units, inputs, start)
     return Predictions(_measured(y, trained.units), np.asarray(finite), np.asarray(x0))
 
 
@@ -185,7 +185,8 @@ def ensemble(rows: Sequence[dict[str, Any]], test: Record, predictions: Predicti
     NaN when no member finished, or when the members predict different test records, of which no mean makes sense.
     """
     finished = [i for i, row in enumerate(rows) if row["status"] == "ok"]
-    same = all(np.array_equal(test.y[i], test.y[0]) and np.array_equal(test.u[i], test.u[0]) for i in finished)
+    first = finished[0] if finished else 0
+    same = all(np.array_equal(test.y[i], test.y[first]) and np.array_equal(test.u[i], test.u[first]) for i in finished)
     if not finished or not same:
         missing = np.full(test.y.shape[1:], np.nan)
         return missing, missing
@@ -206,9 +207,10 @@ def summary(
     rows: Sequence[dict[str, Any]], test: Record, ensemble_mean: np.ndarray, n_inits: Sequence[int]
 ) -> dict[str, Any]:
     """Figures over the finished members; a member's figure is the mean over its outputs."""
-    finished = [row for row in rows if row["status"] == "ok"]
+    finished = [i for i, row in enumerate(rows) if row["status"] == "ok"]
     counts = {"planned": len(rows), "finished": len(finished), "failed": len(rows) - len(finished)}
-    by_n_init = {str(n): _over_members(finished, test, ensemble_mean, n) for n in n_inits}
+    own, shared = [rows[i] for i in finished], take(test, finished[0] if finished else 0)
+    by_n_init = {str(n): _over_members(own, shared, ensemble_mean, n) for n in n_inits}
     return {**counts, **by_n_init[str(n_inits[0])], "by_n_init": by_n_init}
 
 
@@ -226,6 +228,6 @@ def _over_members(
     spread = float(np.std(rmses, ddof=1)) if len(rmses) > 1 else 0.0
     figures |= {"rmse_std": spread, "rmse_median": float(np.median(rmses)), "rmse_best": float(rmses.min())}
     if np.isfinite(ensemble_mean).all():
-        together = rmse(measured=test.y[0], predicted=ensemble_mean, mask=test.mask[0], n_init=n_init)
+        together = rmse(measured=test.y, predicted=ensemble_mean, mask=test.mask, n_init=n_init)
         figures["rmse_ensemble"] = float(np.mean(together))
     return figures

@@ -93,7 +93,7 @@ class Objective(NamedTuple):
     devices: int
 
     def begin(self, key: jax.Array, data: MemberData) -> Trainable:
-        """θ before training: fresh weights, nominal physics, training sequences started at their first outputs."""
+        """θ before training: fresh weights, nominal physics, and the first guess of trained initial states."""
         physics = jax.tree.map(jnp.zeros_like, self.physics.nominal) if self.train_physics else None
         x0 = None
         network = self.model.init(key)

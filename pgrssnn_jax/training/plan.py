@@ -114,9 +114,14 @@ def chosen_route(settings: TrainingSettings) -> Route | None:
     Raises `ValueError` for `native` where the kernel cannot be had; `auto` does without it.
     """
     spec, asked = settings.model, settings.members.recurrence
-    if asked == "xla" or not settings.run.accelerate or not (spec.networks and spec.recurrent) or spec.feedback:
+    if asked == "xla":
         return None
-    missing = missing_kernels()
+    if not settings.run.accelerate:
+        missing = "accelerate=false switches the C++ kernels off"
+    elif spec.feedback or not (spec.networks and spec.recurrent):
+        missing = "the C++ kernels are for models with a GRU and without state feedback"
+    else:
+        missing = missing_kernels()
     if missing and asked == "native":
         raise ValueError(f"members.recurrence: expected xla or auto here, found native: {missing}")
     return None if missing else "native"
@@ -149,10 +154,10 @@ def member_mapping(
     chosen = settings.members
     best = choose_mapping(n_members, n_sequences, jax.device_count(), native=native)
     how = best.how if chosen.how == "auto" else chosen.how
-    if not settings.run.accelerate:
-        return MemberMapping(how, chosen.sub_batch)
     devices = best.devices if chosen.devices == "auto" else chosen.devices
     mapping = MemberMapping(how, chosen.sub_batch, devices, chosen.optimisation)
+    if not settings.run.accelerate:
+        mapping = MemberMapping(how, chosen.sub_batch)
     map_members(lambda: None, mapping)  # raises for what this machine does not have
     return mapping
 

@@ -102,7 +102,7 @@ def by_hand(kernel, bias, projected, h):
     """Gate by gate in NumPy, from the published equations."""
     w_r, w_z, w_n = np.split(np.asarray(kernel), 3, axis=1)
     b_r, b_z, b_n = np.split(np.zeros(kernel.shape[1]) if bias is None else np.asarray(bias), 3)
-    states = []
+    states, h = [], np.asarray(h)
     for p in np.asarray(projected):
         p_r, p_z, p_n = np.split(p, 3, axis=1)
         r = 1 / (1 + np.exp(-(p_r + h @ w_r + b_r)))
@@ -206,8 +206,9 @@ def test_module_starts_uniform_in_one_over_root_hidden(key):
 def test_module_step_and_scan_agree_for_any_number_of_samples(key, bias):
     gru = GRU(4, 3, bias=bias, rngs=nnx.Rngs(key))
     u = jax.random.normal(key, (5, 2, 4))
-    states = np.asarray(gru.scan(gru.project(u)))
-    h, step = jnp.zeros((2, 3)), jax.jit(lambda h, u_t: gru.step(h, gru.project(u_t)))
+    h = jnp.zeros((2, 3))
+    states = np.asarray(gru.scan(gru.project(u), h))
+    step = jax.jit(lambda h, u_t: gru.step(h, gru.project(u_t)))
     for u_t, found in zip(u, states, strict=True):
         h = step(h, u_t)
         np.testing.assert_allclose(found, h, rtol=1e-5, atol=1e-6)

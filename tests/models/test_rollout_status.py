@@ -47,7 +47,7 @@ def test_a_state_that_leaves_the_range_is_reported_and_disturbs_no_other(key, na
     run = jax.jit(lambda x0: rollout(model, params, jnp.zeros((3, 9, 1)), x0))
     found = run(jnp.array([[1e-2], [0.0], [1.0]]))
     calm = run(jnp.zeros((3, 1)))
-    # with feedback the networks overflow no LINEARr than the state they see
+    # with feedback the networks overflow no earlier than the state they see
     assert found.first_bad.tolist() == [4, 9, 3]
     assert found.first_bad.dtype == jnp.int32
     assert calm.first_bad.tolist() == [9, 9, 9]

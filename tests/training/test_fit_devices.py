@@ -55,7 +55,9 @@ def test_sequences_shared_by_two_devices_train_alike():
     settings = FitSettings(epochs=6, validate_every=3, chunk_epochs=6, learning_rate=1e-2)
     fit, data = small_fit(settings=settings, members=5)
     data = jax.tree.map(lambda a: a[:1], data)._replace(train=jax.tree.map(lambda a: a.swapaxes(0, 1), data.train))
-    data = data._replace(train=data.train._replace(y=data.train.y * np.linspace(0.9, 1.1, 5)[:, None, None].astype(np.float32)))
+    data = data._replace(
+        train=data.train._replace(y=data.train.y * np.linspace(0.9, 1.1, 5)[:, None, None].astype(np.float32))
+    )
     found = []
     for devices in (1, 2):
         own = fit._replace(objective=fit.objective._replace(devices=devices))

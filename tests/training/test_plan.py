@@ -174,7 +174,9 @@ def test_own_data_takes_the_kernel_where_there_is_one_and_benchmarks_keep_xla(mo
 )
 def test_what_has_no_recurrence_of_its_own_or_no_acceleration_takes_xla(monkeypatch, model, settings):
     monkeypatch.setattr("pgrssnn_jax.training.plan.missing_kernels", lambda: None)
-    assert plan(model=model, recurrence="native", **settings).fit.objective.route is None
+    assert plan(model=model, **settings).fit.objective.route is None
+    with pytest.raises(ValueError, match="members.recurrence: expected xla or auto here, found native: "):
+        plan(model=model, recurrence="native", **settings)
 
 
 def test_a_kernel_that_is_missing_is_done_without_or_named(monkeypatch):

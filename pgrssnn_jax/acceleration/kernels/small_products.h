@@ -16,7 +16,7 @@ constexpr int64_t kLanes = 16;      // floats of a vector: one register of AVX-5
 constexpr int64_t kChunkRows = 64;  // rows whose intermediate results are held at once: they stay in the cache
 using Vector = float __attribute__((vector_size(kLanes * sizeof(float)), aligned(sizeof(float)), may_alias));
 
-// exp(x) to 2e-7: x = k ln 2 + r, a polynomial of degree 6 in r. Source: Cephes library, expf.
+// exp(x) to a relative 2e-7: x = k ln 2 + r, a polynomial of degree 6 in r. Source: Cephes library, expf.
 inline float exponential(float x) {
   x = x < -87.0f ? -87.0f : x > 87.0f ? 87.0f : x;  // NaN stays NaN
   const float k = __builtin_floorf(x * 1.44269504f + 0.5f);
@@ -28,12 +28,14 @@ inline float exponential(float x) {
   p = p * r + 1.6666665459e-1f;
   p = p * r + 5.0000001201e-1f;
   p = p * r * r + r + 1.0f;
-  const int32_t exponent = (static_cast<int32_t>(k) + 127) << 23;
+  const float whole = k > -127.0f ? k : -127.0f;  // NaN has no whole number
+  const int32_t exponent = (static_cast<int32_t>(whole) + 127) << 23;
   float scale;
   std::memcpy(&scale, &exponent, sizeof scale);
   return p * scale;
 }
 
+// to 1e-7 of their largest value, 1: small values of tanh are not as exact as they are small
 inline float sigmoid(float x) { return 1.0f / (1.0f + exponential(-x)); }
 inline float hyperbolic_tangent(float x) { return 1.0f - 2.0f / (exponential(2.0f * x) + 1.0f); }
 
