@@ -1,9 +1,9 @@
-"""The GRU recurrence and the dense layers as C++ kernels, compiled once on the machine that runs them.
+"""GRU recurrence, dense layers and the dynamics of arms as C++ kernels, compiled once on the machine that runs them.
 
 XLA runs a scan over small matrices step by step through its runtime: for 16 units a step takes ten times longer than
 its arithmetic. The kernels (`kernels/*.cc`) take a whole sequence at once, and keep no intermediate results for the
 gradient. They agree with `models/gru.py` and `models/networks.py` to the rounding of a number
-of size 1.
+of size 1, and with `physics/arms/chain.py` to rounding.
 """
 
 import ctypes
@@ -16,10 +16,11 @@ import tempfile
 from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.acceleration.devices import cache_folder
@@ -29,7 +30,8 @@ _KERNELS = Path(__file__).with_name("kernels")
 _FLAGS = ("-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
 _COMPILERS = ("c++", "g++", "clang++")
 _PATIENCE = 300  # seconds for the compiler, which takes 5 to 15
-_TARGETS = ("gru_forward", "gru_backward", "two_dense_forward", "two_dense_backward")
+_TARGETS = ("gru_forward", "gru_backward", "two_dense_forward", "two_dense_backward", "arm", "arm_factors")
+MOST_JOINTS = 32  # of the kernel of arms
 
 
 @cache
@@ -144,3 +146,27 @@ def _two_dense_backward(relu: bool, arrays: tuple[Any, ...], cotangent: Any) -> 
 
 
 two_dense.defvjp(_two_dense_forward, _two_dense_backward)
+
+
+class ArmConstants(NamedTuple):
+    """Of an arm, as `kernels/arm.cc` reads them: 23 numbers per joint in a row, parents, gravity in m/s²."""
+
+    tables: np.ndarray
+    parents: np.ndarray
+    gravity: np.ndarray
+
+
+Batch = Float[jax.Array, "n batch"]
+
+
+def arm_accelerations(arm: ArmConstants, q: Batch, v: Batch, tau: Batch) -> Batch:
+    """q̈ of `physics.arms.chain.accelerations`, float32, without a derivative."""
+    return _call("arm", q, q, v, tau, **arm._asdict())
+
+
+def arm_factors(arm: ArmConstants, pairs: int, q: Batch, v: Batch, tau: Batch) -> tuple[Batch, jax.Array, jax.Array]:
+    """q̈, the factors `[pairs + n, batch]` of M and the packed world `[15, n, batch]`; pairs: of a joint and another one
+    between it and the base."""
+    n, batch = q.shape
+    like = (q, jax.ShapeDtypeStruct((pairs + n, batch), q.dtype), jax.ShapeDtypeStruct((15, n, batch), q.dtype))
+    return tuple(_call("arm_factors", like, q, v, tau, **arm._asdict()))

@@ -15,7 +15,6 @@ from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
 from hydra.core.utils import JobReturn, JobStatus, env_override
@@ -35,7 +34,7 @@ from pgrssnn_jax.training.run_folder import RunFolder, short_path
 from pgrssnn_jax.training.run_lock import locked
 
 
-def run_sweep(sweeper: BasicSweeper, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
+def run_sweep(sweeper: Any, parsed: Sequence[Override], combinations: Sequence[list[str]]) -> list[JobReturn]:
     """Runs the jobs that are not finished, shows how all ended, and exits with code 2 when one failed.
 
     parsed: the overrides of the whole sweep; combinations: those of each job.

@@ -133,7 +133,7 @@ def test_ctrl_c_ends_a_discovery_where_it_stands(tmp_path):
     arguments = [*LINEAR, *files(tmp_path, samples=2000), *SHORT, "discovery.most=4", "hydra.run.dir=run"]
     process = start(*arguments, cwd=tmp_path, script="discover.py")
     assert process.stdout is not None
-    while "samples to learn from" not in (line := process.stdout.readline()):
+    while "samples in the estimation record" not in (line := process.stdout.readline()):
         assert line, process.communicate()
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)

@@ -120,13 +120,13 @@ def test_a_right_physics_stays_alone_and_says_so():
 
 
 @pytest.mark.slow
-def test_a_bent_physics_is_fitted_and_its_members_predict_what_the_plant_does():
+def test_a_bent_physics_is_corrected_and_its_members_predict_what_the_plant_does():
     record, later = level(480, k1=0.055, k4=0.05), level(480, seed=1, k1=0.055, k4=0.05)
     ensemble = pg.fit("pg_rssnn", cascaded_tanks(), record, seeds=5, epochs=400, quiet=True)
     alone = pg.fit(
         "physics_only", cascaded_tanks(), record, initial_state="least_squares", recipe="default", quiet=True
     )
-    assert ensemble.settings.fit.physics_parameters == "trained"
+    assert not is_alone(ensemble.settings)  # fitted parameters, a large correction, or both: nearly as good here
     errors = [one.score(later)["rmse"].mean() for one in (ensemble, alone)]
     assert errors[0] < 0.4 * errors[1]
     coverage = ensemble.evaluate(later).metrics["interval"]["coverage"][0]

@@ -11,6 +11,7 @@ Effects enter at the extension points of `points.py`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +35,7 @@ from pgrssnn_jax.physics.integrate import zero_order_hold
 PerJoint = float | Sequence[float] | np.ndarray | None
 BACKENDS: dict[str, Callable[[ArmTables, Derivatives], ForwardDynamics]] = {
     "jax": jax_dynamics.forward_dynamics,
+    "native": partial(jax_dynamics.forward_dynamics, native=True),
     "pinocchio": pinocchio_dynamics.forward_dynamics,
 }
 _BEYOND = 1.0  # rad beyond a limit that a noisy position may still have
@@ -72,7 +74,7 @@ def arm(
     form: Literal["forward", "filter"] = "forward",
     filter_numbers: Mapping[str, PerJoint] | None = None,
     starts_at_rest: bool = True,
-    backend: Literal["jax", "pinocchio"] = "jax",
+    backend: Literal["jax", "native", "pinocchio"] = "jax",
     physics_gradient: Literal["full", "stopped"] = "full",
     derivatives: Derivatives = "reverse",
 ) -> Physics:
@@ -84,8 +86,9 @@ def arm(
     when the measurement is not known (g_phy = 0, the published Model 3). physics_gradient: stopped lets no gradient
     through f_phy except that of S, as the released code does. form: `filter` for the one of `filter.py`, which needs
     filter_numbers (`FilterNumbers`; `filter_form` finds them in a record). starts_at_rest: the filter begins a record
-    with all joints at rest at the positions of x_0. derivatives: the one mode in which f_phy can be
-    differentiated, reverse for training, forward for the Jacobians of least squares. Raises `ValueError` for settings
+    with all joints at rest at the positions of x_0. backend: of the forward dynamics; `native` is `jax` with a C++
+    kernel where there is a compiler, equal to rounding. derivatives: the one mode in which f_phy can be differentiated,
+    reverse for training, forward for the Jacobians of least squares. Raises `ValueError` for settings
     that do not fit the number of joints.
     """
     if physics_gradient not in ("full", "stopped"):
@@ -148,7 +151,7 @@ def arm(
         step = _step(points, advance, tables, limits=limits, stopped=physics_gradient == "stopped")
         return step, points.measure
 
-    points = own_points(tables, masses=backend == "jax", measured=measured, filtered=form == "filter")
+    points = own_points(tables, masses=backend != "pinocchio", measured=measured, filtered=form == "filter")
     physics = discrete(
         "arm",
         *assemble(points),
