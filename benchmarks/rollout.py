@@ -37,15 +37,19 @@ def main() -> None:
     if chosen.json and chosen.json.exists():
         found = json.loads(chosen.json.read_text(encoding="utf-8"))
     if not chosen.shown:
-        found["cpu"] = f"{processor()}, {usable()} cores"
+        if usable() < 2:
+            print("one usable core: parts that need two are left out", file=sys.stderr)
         for part, cores in settings(chosen.only):
             print(f"{part} on {cores} core(s) ...", file=sys.stderr, flush=True)
             name = f"{part}, {cores} core{'s' if cores > 1 else ''}"
-            found["measured"][name] = measured(part, cores, quick=chosen.quick, compare=chosen.compare)
+            figures = measured(part, cores, quick=chosen.quick, compare=chosen.compare)
+            found["measured"][name] = {**figures, "cpu": f"{processor()}, {usable()} cores", "quick": chosen.quick}
             if chosen.json:
                 chosen.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     show(found)
     if chosen.page:
+        if any(part["quick"] for part in found["measured"].values()):
+            sys.exit(f"error: --page: expected figures of whole runs in {chosen.json}, found some of --quick")
         write(found, chosen.page)
 
 

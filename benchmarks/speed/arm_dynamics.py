@@ -12,10 +12,17 @@ from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
 from pgrssnn_jax.physics.base import Physics
 
 from .cases import ARM_SEQUENCES, STAGES, torques
+from .goals import PINOCCHIO
 from .timing import Program, compiled
 
 _CALLS = 200  # of Pinocchio's algorithm per measurement: a single one is too short
-BACKENDS = [("jax", np.float32), ("jax", np.float64), ("pinocchio", np.float32), ("pinocchio", np.float64)]
+BACKENDS = [
+    ("native", np.float32),
+    ("jax", np.float32),
+    ("jax", np.float64),
+    ("pinocchio", np.float32),
+    ("pinocchio", np.float64),
+]
 
 
 def free_runs(samples: int, backends: list[Any] = BACKENDS, *, gradients: bool = True) -> dict[str, Program]:
@@ -60,7 +67,7 @@ def pinocchio_calls() -> dict[str, Any]:
     q, v, tau = (np.asfortranarray(a) for a in arrays)
     columns = [[a[:, i] for a in (q, v, tau)] for i in range(ARM_SEQUENCES)]
     return {
-        "Pinocchio's C++ alone, forward": lambda: [pin.abaInParallel(1, pool, q, v, tau) for _ in range(_CALLS)],
+        PINOCCHIO: lambda: [pin.abaInParallel(1, pool, q, v, tau) for _ in range(_CALLS)],
         "Pinocchio called from Python, forward": lambda: [
             pin.aba(model, data, *column) for _ in range(_CALLS) for column in columns
         ],

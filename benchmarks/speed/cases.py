@@ -24,6 +24,7 @@ from pgrssnn_jax.records.record import Channel, RecordInfo, cast, record, take, 
 from pgrssnn_jax.training.members import Member, MemberMapping, choose_mapping, jit_members, keys_of, repeat
 from pgrssnn_jax.training.objective import MemberData, build_objective
 from pgrssnn_jax.training.optimise import Fit
+from pgrssnn_jax.training.plan import sharing_devices
 from pgrssnn_jax.training.settings import FitSettings
 
 ARM_SEQUENCES, ARM_SAMPLES, STAGES = 60, 605, 4  # stages: evaluations of the arm's dynamics per sample (RK4)
@@ -62,11 +63,14 @@ def training(
     epochs: int = 20,
     dtype: Any = np.float32,
     route: Route | None = None,
-    devices: int = 1,
+    alone: bool = False,
 ) -> tuple[Fit, MemberData]:
-    """One member and a chunk of `epochs` epochs with one validation; devices: that share its sequences."""
+    """One member and a chunk of `epochs` epochs with one validation; alone: devices may share its sequences."""
     sequences, length = system.train
     data = member_data(system, physics, sequences, samples or length, dtype)
+    devices = 1
+    if alone and route == "native":
+        devices = sharing_devices(system.spec, *data.train.u.shape[:2])
     settings = FitSettings(validate_every=epochs, chunk_epochs=epochs, patience=10**6)
     objective = build_objective(build_model(system.spec, physics), InitialState(), route=route, devices=devices)
     return Fit(objective, settings), data

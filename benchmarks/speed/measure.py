@@ -15,7 +15,7 @@ from pgrssnn_jax.physics.arms.build import arm
 
 from . import arm_dynamics
 from .cases import SYSTEMS, System, inputs, model_and_params, rollout_call, training, training_call, usual_route
-from .goals import XLA
+from .goals import OF_AN_EPOCH, PINOCCHIO, XLA
 from .roof import roof
 from .timing import Program, compiled, interleaved, spread
 from .work import Work, epoch_work, rollout_work
@@ -67,27 +67,33 @@ def system_part(name: str, *, quick: bool, compare: bool) -> Figures:
 def arm_part(*, quick: bool, compare: bool) -> Figures:
     """Forward dynamics, epochs of one member, a rollout, and Pinocchio's algorithm alone."""
     system = _smaller(SYSTEMS["arm"]) if quick else SYSTEMS["arm"]
-    physics = {gradient: arm(physics_gradient=gradient) for gradient in ("stopped", "full")}
     samples = system.train[1]
-    forms = {"": usual_route(np.float32), XLA: None}
+    forms = {"": (usual_route(np.float32), "native"), XLA: (None, "jax")}
+    physics = {form: arm(backend=backend) for form, (_, backend) in forms.items()}
     cases = {
-        f"epoch, gradient {name}{form}": epoch_case(system, one, 1, epochs=2, route=route)
-        for name, one in physics.items()
-        for form, route in forms.items()
+        f"epoch, gradient {gradient}{form}": epoch_case(
+            system, physics[form].variant(physics_gradient=gradient), 1, epochs=2, route=route
+        )
+        for gradient in ("stopped", "full")
+        for form, (route, _) in forms.items()
     }
-    for name, program in arm_dynamics.free_runs(samples, [("jax", np.float32)], gradients=False).items():
+    backends = [("native", np.float32), ("jax", np.float32)]
+    for name, program in arm_dynamics.free_runs(samples, backends, gradients=False).items():
         cases[f"evaluation, {name}"] = Case(program.call, arm_dynamics.evaluations(samples), program)
-    for name, call in arm_dynamics.pinocchio_calls().items():
+    alone = arm_dynamics.pinocchio_calls()
+    for name, call in alone.items():
         cases[f"evaluation, {name}"] = Case(call, arm_dynamics.EVALUATIONS_PER_CALL)
+    epochs = arm_dynamics.EVALUATIONS_PER_CALL / arm_dynamics.evaluations(samples)
+    cases[OF_AN_EPOCH] = Case(alone[PINOCCHIO], epochs)
     found = measured(cases, 2 if quick else 5)
     runs = {
-        f"rollout{form}": rollout_case(system, physics["full"], *system.run, route=route)
-        for form, route in forms.items()
+        f"rollout{form}": rollout_case(system, physics[form], *system.run, route=route)
+        for form, (route, _) in forms.items()
     }
     if compare:
         from . import torch_cases
 
-        runs |= torch_cases.rollouts(system, physics["full"])
+        runs |= torch_cases.rollouts(system, physics[XLA])
     return found | measured(runs, 2 if quick else 3)
 
 
@@ -101,7 +107,7 @@ def epoch_case(
     mapping: Any = None,
     route: Any = None,
 ) -> Case:
-    fit, data = training(system, physics, epochs=epochs, dtype=dtype, route=route)
+    fit, data = training(system, physics, epochs=epochs, dtype=dtype, route=route, alone=members == 1)
     program = compiled(*training_call(fit, data, members, mapping))
     work = epoch_work(system.spec, physics, system.stages, *system.train, members=members)
     return Case(program.call, epochs, program, work, dtype)

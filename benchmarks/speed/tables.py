@@ -16,8 +16,9 @@ Rows = list[tuple[str, ...]]
 def tables(found: Mapping[str, Any]) -> Iterator[tuple[str, Rows]]:
     """Title and rows, the first of which is the head; ratios first, bare times second."""
     measured = found["measured"]
-    yield f"Ratios, each from one run on {found['cpu']}", ratios(measured)
-    yield "The roof: the longest of three bounds over the time measured", roofs(measured)
+    machines = ", ".join(dict.fromkeys(one["cpu"] for one in measured.values()))
+    yield f"Ratios, each from one run on {machines}", ratios(measured)
+    yield "The roof; *reached* is the longest of the three bounds over the time measured", roofs(measured)
     yield "The machine, measured", rates(measured)
     for part, one in measured.items():
         yield f"{part} (peak memory {one['peak_memory_mb']:.0f} MB)", times(one["figures"])

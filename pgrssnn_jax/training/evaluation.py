@@ -60,7 +60,7 @@ def has_failed(outcome: int) -> bool:
 def trained_members(plan: Plan, state: MemberState) -> Trained:
     """The members of a plan after training; XLA alone evaluates them, here and where they are loaded."""
     start = jit_members(lambda s, d: plan.fit.objective.trained_start(s.best, d), plan.mapping)(state, plan.data)
-    objective = plan.fit.objective._replace(route=None)
+    objective = plan.fit.objective._replace(route=None, devices=1)
     mapping = member_mapping(plan.settings, len(plan.members), plan.data.train.u.shape[1])
     return Trained(objective, mapping, plan.members, state, plan.data.scaling, plan.units, np.asarray(start))
 

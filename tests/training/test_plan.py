@@ -8,13 +8,14 @@ import pytest
 from small import simulated
 
 from pgrssnn_jax.models.initial_state import InitialState
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.base import Signal
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.build import record_from
 from pgrssnn_jax.records.record import Record, crop, stack
 from pgrssnn_jax.training.members import Member
-from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests, plan_training
+from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests, plan_training, sharing_devices
 from pgrssnn_jax.training.recipes import DEFAULT, RECIPES
 from pgrssnn_jax.training.settings import training_settings
 
@@ -177,6 +178,13 @@ def test_what_has_no_recurrence_of_its_own_or_no_acceleration_takes_xla(monkeypa
     assert plan(model=model, **settings).fit.objective.route is None
     with pytest.raises(ValueError, match="members.recurrence: expected xla or auto here, found native: "):
         plan(model=model, recurrence="native", **settings)
+
+
+def test_devices_share_the_sequences_of_one_member_where_that_pays():
+    spec = ModelSpec(hidden=64, gru_layers=3)
+    assert sharing_devices(spec, 60, 605) == 2
+    assert sharing_devices(spec, 1, 36_300) == 1  # one sequence cannot be shared
+    assert sharing_devices(ModelSpec(), 31, 64) == 1
 
 
 def test_a_kernel_that_is_missing_is_done_without_or_named(monkeypatch):
