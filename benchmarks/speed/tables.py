@@ -93,8 +93,11 @@ def show(found: Mapping[str, Any]) -> None:
 
 def write(found: Mapping[str, Any], page: Path) -> None:
     """Ratios, roof and machine into a page, between its marks. Raises `ValueError` where it has none."""
-    parts = [markdown(title, rows) for title, rows in list(tables(found))[:3] if len(rows) > 1]
-    replace_between(page, _BEGIN, _END, "\n\n".join(["", *parts, ""]))
+    replace_between(page, _BEGIN, _END, f"\n\n{page_text(found)}\n\n")
+
+
+def page_text(found: Mapping[str, Any]) -> str:
+    return "\n\n".join(markdown(title, rows) for title, rows in list(tables(found))[:3] if len(rows) > 1)
 
 
 def replace_between(page: Path, begin: str, end: str, text: str) -> None:

@@ -90,6 +90,12 @@ def test_a_ratio_is_the_median_over_rounds():
     assert goal._replace(over="c").ratio(measured) is None
 
 
+def test_the_page_holds_the_tables_of_its_figures():
+    found = json.loads((ROOT / "docs/performance.json").read_text(encoding="utf-8"))
+    assert not any(part["quick"] for part in found["measured"].values())
+    assert tables.page_text(found) in (ROOT / "docs/performance.md").read_text(encoding="utf-8")
+
+
 def test_tables_go_between_the_marks_of_a_page(tmp_path):
     figures = {
         GOALS[0].over: {"ms": [1000, 1, 1], "rounds": [1000.0]},
