@@ -1,13 +1,15 @@
 """The C++ kernels against the forms of `models/`: values, gradients, failures, members, machines without them."""
 
+import shutil
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
 
+from pgrssnn_jax.acceleration.native import COMPILERS, missing_kernels, two_dense
 from pgrssnn_jax.acceleration.native import gru_scan as gru_kernel
-from pgrssnn_jax.acceleration.native import missing_kernels, two_dense
 from pgrssnn_jax.models.gru import gru_scan
 
 needs_kernel = pytest.mark.skipif(missing_kernels() is not None, reason=f"no kernel: {missing_kernels()}")
@@ -122,6 +124,12 @@ def test_dense_layers_pass_on_what_is_not_finite(relu):
     y = two_dense(relu, *weights_, z.at[66, 1].set(jnp.nan))
     assert np.isnan(y[66]).all()
     assert np.isfinite(np.delete(y, 66, 0)).all()
+
+
+@pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="no C++ compiler here")
+def test_where_there_is_a_compiler_there_are_kernels():
+    """All other tests of kernels are skipped where there are none: this one must not let a broken kernel pass."""
+    assert missing_kernels() is None
 
 
 def test_a_machine_without_a_compiler_says_so(monkeypatch):

@@ -71,7 +71,7 @@ def test_two_layers_equal_torch_in_double_precision(stored):
 
 
 def test_two_layers_equal_torch_live():
-    pytest.importorskip("torch")
+    pytest.importorskip("torch", reason="torch is not installed: extra `compare`")
     place = importlib.util.spec_from_file_location("make_torch_gru", FIXTURES / "make_torch_gru.py")
     maker = importlib.util.module_from_spec(place)
     place.loader.exec_module(maker)

@@ -9,7 +9,7 @@ from benchmarks.speed.cases import SYSTEMS, in_precision, inputs, model_and_para
 from pgrssnn_jax.models.model import ModelParams
 from pgrssnn_jax.models.rollout import rollout
 
-torch = pytest.importorskip("torch", reason="the extra `compare` is not installed")
+torch = pytest.importorskip("torch", reason="torch is not installed: extra `compare`")
 torch_loop = pytest.importorskip("benchmarks.speed.torch_loop")
 torch_physics = pytest.importorskip("benchmarks.speed.torch_physics")
 
