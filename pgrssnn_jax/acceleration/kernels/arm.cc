@@ -7,7 +7,6 @@
 // Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, chapters 5 and 6.
 
 #include <array>
-#include <cmath>
 
 #include "small_products.h"
 #include "xla/ffi/api/ffi.h"
@@ -96,73 +95,106 @@ struct Arm {
   int n, pairs;  // pairs: of a joint and another one between it and the base
 };
 
+// Where a joint's frame is in the world.
+struct Frame {
+  std::array<V3, 3> columns;  // of its rotation
+  V3 origin;
+};
+
+// up: the parent's frame; null for the base
+Frame placed(const Joint& joint, const Frame* up, const Vector& q) {
+  Frame frame;
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) {
+      const float* fixed = joint.rotation + column;
+      frame.columns[column][row] = up ? up->columns[0][row] * fixed[0] + up->columns[1][row] * fixed[3] +
+                                            up->columns[2][row] * fixed[6]
+                                      : Vector{} + fixed[3 * row];
+    }
+    frame.origin[row] = up ? up->origin[row] + up->columns[0][row] * joint.position[0] +
+                                 up->columns[1][row] * joint.position[1] + up->columns[2][row] * joint.position[2]
+                           : Vector{} + joint.position[row];
+  }
+  Vector sine, cosine;
+  sine_cosine(q, sine, cosine);
+  const V3 x = frame.columns[0], y = frame.columns[1];
+  frame.columns[0] = scaled(cosine, x) + scaled(sine, y);
+  frame.columns[1] = scaled(cosine, y) + scaled(-sine, x);
+  return frame;
+}
+
+// The body that moves with a joint, about the world's origin.
+Inertia body_of(const Joint& joint, const Frame& frame) {
+  const auto& [x, y, z] = frame.columns;
+  const V3 center =
+      frame.origin + scaled(joint.center[0], x) + scaled(joint.center[1], y) + scaled(joint.center[2], z);
+  const V3 first = scaled(joint.mass, center);
+  const float* s = joint.inertia;
+  const V3 half[3] = {scaled(s[0], x) + scaled(s[3], y) + scaled(s[4], z),
+                      scaled(s[3], x) + scaled(s[1], y) + scaled(s[5], z),
+                      scaled(s[4], x) + scaled(s[5], y) + scaled(s[2], z)};
+  const Vector away = dot(first, center);
+  constexpr int rows[6] = {0, 1, 2, 0, 0, 1}, columns[6] = {0, 1, 2, 1, 2, 2};
+  V6 second;
+  for (int k = 0; k < 6; ++k) {
+    const int r = rows[k], c = columns[k];
+    second[k] = half[0][r] * x[c] + half[1][r] * y[c] + half[2][r] * z[c] - first[r] * center[c];
+    if (r == c) second[k] += away;
+  }
+  return {Vector{} + joint.mass, first, second};
+}
+
+using Matrix = Vector[kMost][kMost];
+
+// M a = b: a is b before, the solution after; M_jk, j between k and the base, in `upper` becomes L_kj. factor: where
+// they are wanted L_kj of every k from the tips to the base, then 1 / D.
+void solve(const Arm& arm, Matrix& upper, Vector* a, Vector* factor) {
+  Vector inverse[kMost];
+  int row = 0;
+  for (int k = arm.n - 1; k >= 0; --k) {
+    inverse[k] = 1.0f / upper[k][k];
+    for (int i = arm.parents[k]; i >= 0; i = arm.parents[i]) {
+      const Vector share = upper[i][k] * inverse[k];
+      for (int j = i; j >= 0; j = arm.parents[j]) upper[j][i] -= share * upper[j][k];
+      a[i] -= share * a[k];
+    }
+    for (int j = arm.parents[k]; j >= 0; j = arm.parents[j]) {
+      upper[j][k] *= inverse[k];
+      if (factor) factor[row++] = upper[j][k];
+    }
+  }
+  for (int k = 0; k < arm.n; ++k) {
+    a[k] *= inverse[k];
+    if (factor) factor[arm.pairs + k] = inverse[k];
+  }
+  for (int k = 0; k < arm.n; ++k)
+    for (int j = arm.parents[k]; j >= 0; j = arm.parents[j]) a[k] -= upper[j][k] * a[j];
+}
+
 // One block: q, v, tau and the acceleration a [n]; factor [pairs + n] and kept [kKept, n] where they are wanted.
 void block(const Arm& arm, const Vector* q, const Vector* v, const Vector* tau, Vector* a, Vector* factor, Vector* kept) {
   const int n = arm.n;
-  std::array<V3, 3> turned[kMost];  // columns of the rotation into the world
-  V3 origin[kMost];
+  Frame frame[kMost];
   V6 axis[kMost], velocity[kMost], acceleration[kMost], force[kMost];
   Inertia carried[kMost];
+  const float* g = arm.gravity;  // a base that accelerates against gravity gives every link its weight
+  const V6 base = {Vector{}, Vector{}, Vector{}, Vector{} - g[0], Vector{} - g[1], Vector{} - g[2]};
   for (int i = 0; i < n; ++i) {
-    const Joint& joint = arm.joints[i];
     const int parent = arm.parents[i];
-    Vector sine, cosine;
-    sine_cosine(q[i], sine, cosine);
-    std::array<V3, 3> fixed;
-    for (int column = 0; column < 3; ++column)
-      for (int row = 0; row < 3; ++row) {
-        if (parent < 0) {
-          fixed[column][row] = Vector{} + joint.rotation[3 * row + column];
-        } else {
-          const auto& up = turned[parent];
-          fixed[column][row] = up[0][row] * joint.rotation[column] + up[1][row] * joint.rotation[3 + column] +
-                               up[2][row] * joint.rotation[6 + column];
-        }
-      }
-    for (int row = 0; row < 3; ++row) {
-      origin[i][row] = Vector{} + joint.position[row];
-      if (parent >= 0) {
-        const auto& up = turned[parent];
-        origin[i][row] = origin[parent][row] + up[0][row] * joint.position[0] + up[1][row] * joint.position[1] +
-                         up[2][row] * joint.position[2];
-      }
-    }
-    const V3 x = scaled(cosine, fixed[0]) + scaled(sine, fixed[1]);
-    const V3 y = scaled(cosine, fixed[1]) + scaled(-sine, fixed[0]);
-    const V3& z = fixed[2];
-    turned[i] = {x, y, z};
-    axis[i] = both(z, cross(origin[i], z));
-
-    const V3 center = origin[i] + scaled(joint.center[0], x) + scaled(joint.center[1], y) + scaled(joint.center[2], z);
-    const V3 first = scaled(joint.mass, center);
-    const float* s = joint.inertia;
-    const V3 half[3] = {scaled(s[0], x) + scaled(s[3], y) + scaled(s[4], z),
-                        scaled(s[3], x) + scaled(s[1], y) + scaled(s[5], z),
-                        scaled(s[4], x) + scaled(s[5], y) + scaled(s[2], z)};
-    const Vector away = dot(first, center);
-    const int rows[6] = {0, 1, 2, 0, 0, 1}, columns[6] = {0, 1, 2, 1, 2, 2};
-    V6 second;
-    for (int k = 0; k < 6; ++k) {
-      const int r = rows[k], c = columns[k];
-      second[k] = half[0][r] * x[c] + half[1][r] * y[c] + half[2][r] * z[c] - first[r] * center[c];
-      if (r == c) second[k] += away;
-    }
-    carried[i] = {Vector{} + joint.mass, first, second};
-
+    frame[i] = placed(arm.joints[i], parent < 0 ? nullptr : &frame[parent], q[i]);
+    axis[i] = both(frame[i].columns[2], cross(frame[i].origin, frame[i].columns[2]));
+    carried[i] = body_of(arm.joints[i], frame[i]);
     const V6 own = scaled(v[i], axis[i]);
-    const V3 none = {Vector{}, Vector{}, Vector{}};
-    const V3 up = {Vector{} - arm.gravity[0], Vector{} - arm.gravity[1], Vector{} - arm.gravity[2]};
     velocity[i] = parent < 0 ? own : velocity[parent] + own;
-    acceleration[i] = (parent < 0 ? both(none, up) : acceleration[parent]) + motion_cross(velocity[i], own);
+    acceleration[i] = (parent < 0 ? base : acceleration[parent]) + motion_cross(velocity[i], own);
     force[i] = momentum(carried[i], acceleration[i]) + force_cross(velocity[i], momentum(carried[i], velocity[i]));
     if (kept) {
       for (int k = 0; k < 6; ++k) kept[k * n + i] = axis[i][k];
-      for (int k = 0; k < 3; ++k) kept[(6 + k) * n + i] = first[k];
-      for (int k = 0; k < 6; ++k) kept[(9 + k) * n + i] = second[k];
+      for (int k = 0; k < 3; ++k) kept[(6 + k) * n + i] = carried[i].first[k];
+      for (int k = 0; k < 6; ++k) kept[(9 + k) * n + i] = carried[i].second[k];
     }
   }
-
-  Vector upper[kMost][kMost];  // M_jk for j between k and the base
+  Matrix upper;  // M_jk for j between k and the base
   for (int k = n - 1; k >= 0; --k) {
     const V6 turning = momentum(carried[k], axis[k]);
     upper[k][k] = dot(axis[k], turning) + arm.joints[k].armature;
@@ -175,28 +207,7 @@ void block(const Arm& arm, const Vector* q, const Vector* v, const Vector* tau, 
                          carried[parent].second + carried[k].second};
     }
   }
-
-  // M = L^T D L; the rows of L replace those of M, and a the right side, then the solution
-  Vector inverse[kMost];
-  int row = 0;
-  for (int k = n - 1; k >= 0; --k) {
-    inverse[k] = 1.0f / upper[k][k];
-    for (int i = arm.parents[k]; i >= 0; i = arm.parents[i]) {
-      const Vector share = upper[i][k] * inverse[k];
-      for (int j = i; j >= 0; j = arm.parents[j]) upper[j][i] -= share * upper[j][k];
-      a[i] -= share * a[k];
-    }
-    for (int j = arm.parents[k]; j >= 0; j = arm.parents[j]) {
-      upper[j][k] *= inverse[k];
-      if (factor) factor[row++] = upper[j][k];
-    }
-  }
-  for (int k = 0; k < n; ++k) {
-    a[k] *= inverse[k];
-    if (factor) factor[arm.pairs + k] = inverse[k];
-  }
-  for (int k = 0; k < n; ++k)
-    for (int j = arm.parents[k]; j >= 0; j = arm.parents[j]) a[k] -= upper[j][k] * a[j];
+  solve(arm, upper, a, factor);
 }
 
 // rows [n, batch] of lanes first .. first + count; what is beyond the batch reads as zero and is not written

@@ -35,7 +35,7 @@ inline float exponential(float x) {
   return p * scale;
 }
 
-// to 1e-7 of their largest value, 1: small values of tanh are not as exact as they are small
+// absolute errors of 1e-7: the relative error of tanh grows where |x| is small
 inline float sigmoid(float x) { return 1.0f / (1.0f + exponential(-x)); }
 inline float hyperbolic_tangent(float x) { return 1.0f - 2.0f / (exponential(2.0f * x) + 1.0f); }
 
