@@ -52,7 +52,7 @@ from pgrssnn_jax.training.choose import choose_settings, settled
 from pgrssnn_jax.training.evaluation import trained_members
 from pgrssnn_jax.training.loop import Progress
 from pgrssnn_jax.training.plan import Plan, plan_training
-from pgrssnn_jax.training.recipes import DEFAULT, PROOF, recipe_for
+from pgrssnn_jax.training.recipes import PROOF, named_recipe
 from pgrssnn_jax.training.settings import TrainingSettings, training_settings
 from pgrssnn_jax.training.train import first_checkpoint, train_members
 
@@ -293,12 +293,6 @@ def _training(
 ) -> TrainingSettings:
     """Defaults, `before`, the recipe's settings and those that were given (None: not), in this order."""
     check_kind("model", model, str | ModelSpec, "the name of a model or a pg.ModelSpec")
-    if recipe not in (None, "auto", "experiment", "default"):
-        raise ValueError(f"recipe: expected 'auto', 'experiment', 'default' or None, found {recipe!r}")
-    if recipe == "experiment" and not train.info.benchmark:
-        raise ValueError("recipe: expected None, 'auto' or 'default' for data that is no benchmark, found 'experiment'")
-    own = DEFAULT if recipe == "default" else recipe_for(train.info.benchmark)
-    kept, _ = own.split(discovered=physics.discovered)
-    usual = kept if recipe == "auto" else own.settings(discovered=physics.discovered)
+    usual = named_recipe(recipe, train.info.benchmark, discovered=physics.discovered)
     named = {name: value for name, value in given.items() if name != "n_seeds" or value is not None}
     return training_settings(model, before or {}, usual, named)

@@ -96,3 +96,14 @@ PROOF = MappingProxyType({"n_seeds": 2, "report_n_init": (0,)})
 def recipe_for(benchmark: str) -> Recipe:
     """The recipe of a benchmark, or the default one for other data."""
     return RECIPES.get(benchmark, DEFAULT)
+
+
+def named_recipe(name: str | None, benchmark: str, *, discovered: bool) -> dict[str, Any]:
+    """The settings that a recipe sets: `experiment`, `default`, or of `auto` those that it does not choose; None: the
+    experiment's of a benchmark, the default ones of other data. Raises `ValueError` for another name."""
+    if name not in (None, "auto", "experiment", "default"):
+        raise ValueError(f"recipe: expected 'auto', 'experiment', 'default' or None, found {name!r}")
+    if name == "experiment" and not benchmark:
+        raise ValueError("recipe: expected None, 'auto' or 'default' for data that is no benchmark, found 'experiment'")
+    recipe = DEFAULT if name == "default" else recipe_for(benchmark)
+    return recipe.split(discovered=discovered)[0] if name == "auto" else recipe.settings(discovered=discovered)
