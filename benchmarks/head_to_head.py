@@ -138,16 +138,14 @@ class Ours:
         row = run_case(plan, self.problems, case)
         name = plan.truth[0] if plan.truth else ""
         guess = row["numbers"].get(name, {}).get(SIZES.get(name, ("",))[0])
-        test, right = row["test"], row["right"]
-        if plan.kind == "removed":  # a law without a name: as strict as ADCD, which has to find its class
-            right = row["verdict"] == "unknown_effect" and not row["names"]
+        test = row["test"]
         return {
             "verdict": row["verdict"],
             "names": row["names"],
             "alternatives": row["alternatives"],
             "found": row["verdict"] in FINDINGS,
             "first": row["first"],
-            "right": right,
+            "right": row["right"],
             "parameter_error": _parameter_error(case, guess),
             **_errors(case, test["before"], test["after"]),
         }

@@ -113,7 +113,7 @@ def law(name: str, seed: int) -> tuple[Plan, Case]:
         reach=3.0,  # m, the largest extension in ADCD's data of the anharmonic spring
     )
     case = bench.build(plant, seed, (name,), noise=NOISE)
-    return Plan("duffing", seed, "single" if names else "removed", (name,), (), NOISE), case
+    return Plan("duffing", seed, "single" if names else "unnamed", (name,), (), NOISE), case
 
 
 def scenarios() -> dict[str, Any]:

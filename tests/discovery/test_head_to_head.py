@@ -10,6 +10,7 @@ import pytest
 from commands import ROOT, command
 
 from benchmarks.hidden import suite
+from benchmarks.hidden.score import is_right
 from benchmarks.hidden.suite import Plan
 from benchmarks.hidden.terms import MEANING, size_of
 
@@ -85,6 +86,13 @@ def test_discovery_names_the_drag_of_adcd(tmp_path):
     assert code == 0, err
     rows = {row["truth"][0]: row for row in map(json.loads, (tmp_path / "rows").read_text().splitlines())}
     assert rows["Nonlinear Drag"]["names"] == ["quadratic_drag"]
+
+
+def test_a_law_without_a_name_is_right_only_alone():
+    case = suite.build(Plan("duffing", 4, "none", (), (), 0.0005))
+    assert is_right(case, "unnamed", [], "unknown_effect")
+    assert not is_right(case, "unnamed", ["hard_stop"], "unknown_effect")
+    assert not is_right(case, "unnamed", [], "unexplained")
 
 
 def test_tables_count_who_is_right_alone(tables):
