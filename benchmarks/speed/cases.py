@@ -68,11 +68,10 @@ def training(
     """One member and a chunk of `epochs` epochs with one validation; alone: devices may share its sequences."""
     sequences, length = system.train
     data = member_data(system, physics, sequences, samples or length, dtype)
-    devices = 1
-    if alone and route == "native":
-        devices = sharing_devices(system.spec, *data.train.u.shape[:2])
     settings = FitSettings(validate_every=epochs, chunk_epochs=epochs, patience=10**6)
-    objective = build_objective(build_model(system.spec, physics), InitialState(), route=route, devices=devices)
+    objective = build_objective(build_model(system.spec, physics), InitialState(), route=route)
+    if alone and route == "native":
+        objective = objective._replace(devices=sharing_devices(system.spec, *data.train.u.shape[:2]))
     return Fit(objective, settings), data
 
 

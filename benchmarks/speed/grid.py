@@ -7,7 +7,8 @@ import numpy as np
 
 from pgrssnn_jax.training.members import MemberMapping
 
-from .cases import SYSTEMS
+from .cases import SYSTEMS, usual_route
+from .goals import XLA
 from .measure import Figures, epoch_case, measured, rollout_case
 
 MEMBERS, HORIZONS = (1, 10, 50, 200), (64, 605, 1024, 5000, 100_000)
@@ -42,7 +43,7 @@ def grid_part(name: str, dtype: Any, *, quick: bool) -> Figures:
 
 
 def mappings_part(*, quick: bool) -> Figures:
-    """Both routes of a rollout, and members mapped in every way."""
+    """The routes of a rollout, and members mapped in every way, by XLA and by the C++ kernels."""
     found: Figures = {}
     for name in ("tanks", "lgssm"):
         system, size = SYSTEMS[name], SYSTEMS[name].run
@@ -50,19 +51,22 @@ def mappings_part(*, quick: bool) -> Figures:
         physics = system.physics()
         routes = {
             f"{name} rollout, {route}": rollout_case(system, physics, *size, route=route)
-            for route in ("fused", "split")
+            for route in ("fused", "split", usual_route(np.float32))
+            if route
         }
         found |= measured(routes, 2 if quick else 9)
         mappings = {
-            f"{name} epoch, {system.members} members, {how}{f' of {batch}' if batch else ''}, {n} device(s)": (
-                MemberMapping(how, batch, n)
+            f"{name} epoch, {system.members} members, {how}{f' of {batch}' if batch else ''}, {n} device(s){form}": (
+                MemberMapping(how, batch, n),
+                route,
             )
+            for form, route in {XLA: None, "": usual_route(np.float32)}.items()
             for n in sorted({1, jax.device_count()})
             for how, batch in (("vmap", None), ("vmap", 5), ("loop", None))
         }
         epochs = {
-            key: epoch_case(system, physics, system.members, mapping=mapping)
-            for key, mapping in list(mappings.items())[: 1 if quick else None]
+            key: epoch_case(system, physics, system.members, mapping=mapping, route=route)
+            for key, (mapping, route) in list(mappings.items())[: 1 if quick else None]
         }
         found |= measured(epochs, 2 if quick else 5)
     return found

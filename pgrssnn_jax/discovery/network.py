@@ -60,7 +60,7 @@ def _part(share: float) -> str:
     """A sentence's main clause."""
     if share <= 1.0:
         return f"the network supplies {100 * share:.1f} % of the prediction"
-    return f"the network adds {share:.3g} times the spread of the measurement, so the physics has no say any more"
+    return f"the network adds {share:.3g} standard deviations of the measurement, more than the measurement varies"
 
 
 def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, float, str, str]:

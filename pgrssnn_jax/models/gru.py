@@ -140,7 +140,6 @@ class GRU(nnx.Module):
     ) -> Float[jax.Array, "time seq hidden"]:
         """native: by the C++ kernel, which computes in float32; other precisions take the scan."""
         kernel, bias = self._recurrent()
-        start = start.astype(projected.dtype)
         if not native or not projected.dtype == kernel.dtype == jnp.float32:
             return gru_scan(kernel, bias, projected, start)
         return kernels.gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected, start)

@@ -82,7 +82,7 @@ def select(tree: Any, member: int) -> Any:
 
 def choose_mapping(n_members: int, n_sequences: int, devices: int, *, native: bool = False) -> MemberMapping:
     """The fastest mapping of those measured (`benchmarks/rollout.py --only mappings`): on CPUs one after another when
-    each member already has a batch of sequences to multiply with (measured with 31; the 8 is between) or its recurrence
-    is native, all at once when each has a single long one (tanks)."""
+    each member has a batch of sequences to multiply with (1 and 31 were measured, 8 lies between) or its recurrence is
+    native, all at once when each has a single long sequence (tanks)."""
     how = "loop" if native or (n_sequences >= 8 and jax.default_backend() == "cpu") else "vmap"
     return MemberMapping(how, devices=min(devices, n_members))

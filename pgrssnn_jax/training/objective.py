@@ -90,7 +90,7 @@ class Objective(NamedTuple):
     physics: PhysicsUnits
     train_physics: bool
     route: Route | None
-    devices: int
+    devices: int = 1
 
     def begin(self, key: jax.Array, data: MemberData) -> Trainable:
         """θ before training: fresh weights, nominal physics, and the first guess of trained initial states."""
@@ -240,7 +240,6 @@ def build_objective(
     *,
     train_physics: bool = False,
     route: Route | None = None,
-    devices: int = 1,
 ) -> Objective:
     """train_physics: are the physics parameters part of θ?"""
     nominal = jax.tree.map(jnp.asarray, model.physics.params)
@@ -249,4 +248,4 @@ def build_objective(
         jax.tree.map(of, model.physics.parameters, is_leaf=is_parameter)
         for of in (lambda p: p.bounds[0], lambda p: p.bounds[1], lambda p: p.trainable)
     )
-    return Objective(model, initial, PhysicsUnits(nominal, size, low, high, free), train_physics, route, devices)
+    return Objective(model, initial, PhysicsUnits(nominal, size, low, high, free), train_physics, route)

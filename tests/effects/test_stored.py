@@ -264,7 +264,7 @@ def test_the_file_tells_one_physics_from_another():
 
 
 def test_a_command_and_python_tell_the_same_source_of_an_own_physics(tmp_path, monkeypatch):
-    """Their origins differ: the function that the command calls, and the derivative that `pg.continuous` was given."""
+    """The command's physics remembers the function `pendulum`; Python's remembers only its inner derivative."""
     text = (ROOT / "tests/test_api_own_physics.py").read_text()
     (tmp_path / "stored_pendulum.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
