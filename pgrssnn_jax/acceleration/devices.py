@@ -12,6 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax.sharding import AxisType, PartitionSpec
 
+_AXIS = "device"
+
 
 def usable_cores() -> int:
     """Linux: the cores that this process may use, not those that the machine has."""
@@ -43,14 +45,19 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "pgrssnn_jax"
 
 
+def sum_over_devices(value: jax.Array) -> jax.Array:
+    """Within a function of `over_devices`."""
+    return jax.lax.psum(value, _AXIS)
+
+
 def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., Any]:
     """The same function of trees with a leading axis, that axis sharded over the first `devices` JAX devices; padded to
     a multiple of them with copies of the last entry, which are dropped again."""
     if devices == 1:
         return function
     chosen = jax.devices()[:devices]
-    mesh = jax.make_mesh((devices,), ("device",), axis_types=(AxisType.Auto,), devices=chosen)
-    spec = PartitionSpec("device")
+    mesh = jax.make_mesh((devices,), (_AXIS,), axis_types=(AxisType.Auto,), devices=chosen)
+    spec = PartitionSpec(_AXIS)
     sharded = jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
 
     def on_devices(*trees: Any) -> Any:

@@ -23,15 +23,15 @@ _TO_THE_END = 3  # effects with the best scores that are fitted until nothing ch
 
 class Model(NamedTuple):
     """A fitted model. squares and counts: squared errors of every block of neighbouring samples, left out, and how many
-    samples they are; deviation `[p]`: standard deviations of θ, with `freedom` degrees of freedom; free_run: error over
-    whole sequences, where fits see segments of them."""
+    samples they are; deviation `[p]`: standard deviations of θ, with `freedom` degrees of freedom; free_run: mean
+    squared error of a run over each whole sequence, where fits see segments of them."""
 
     estimate: Estimate
     squares: Float[np.ndarray, " block"]
     counts: Int[np.ndarray, " block"]
     deviation: Float[np.ndarray, " p"]
     freedom: float
-    free_run: float | None = None
+    free_run: Float[np.ndarray, " seq"] | None = None
 
     @property
     def blocks(self) -> Float[np.ndarray, " block"]:
@@ -47,6 +47,14 @@ class Model(NamedTuple):
         """Difference of the predictive log-likelihoods, and its standard error over blocks."""
         difference = self.blocks - other.blocks
         return float(difference.sum()), float(len(difference) ** 0.5 * difference.std(ddof=1))
+
+    def nearer_than(self, other: "Model") -> tuple[float, float]:
+        """Mean log ratio of the squared errors of runs over whole sequences, and its standard error over sequences:
+        ratios, because sequences in which much moves would outweigh all others."""
+        assert self.free_run is not None
+        assert other.free_run is not None
+        ratio = np.log(other.free_run / self.free_run)
+        return float(ratio.mean()), float(ratio.std(ddof=1) / len(ratio) ** 0.5) if len(ratio) > 1 else 0.0
 
 
 class Candidate(NamedTuple):
@@ -86,7 +94,8 @@ class Screening(NamedTuple):
     def rms(self, model: Model | None = None) -> float:
         """Weighted error of the base or of another model, of free runs over whole sequences where fits saw segments."""
         model = model or self.base
-        return model.free_run if model.free_run is not None else (model.estimate.cost / self.size) ** 0.5
+        squared = model.estimate.cost / self.size if model.free_run is None else float(model.free_run.mean())
+        return squared**0.5
 
 
 def score_candidates(

@@ -23,7 +23,7 @@ def check_physics(setup: Setup) -> None:
     with jax.enable_x64(True):
         problem = build_problem(setup.physics, ())
         record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
-        signals = record.signals(problem, 0)
+        signals = record.signals(problem)
         y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
         _check_free_run(problem, signals, y[0], x[0])
         before = np.concatenate([signals.start[:, None], x[0][:, :-1]], 1)

@@ -6,7 +6,6 @@ record, physics ──> recalibrated ──> selected effects ──> judgement 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -20,11 +19,11 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.nonparametric import Corrections
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
 from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring, scoring
-from pgrssnn_jax.discovery.select import Selection, remembered, select
+from pgrssnn_jax.discovery.select import Selection, counting, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
@@ -99,12 +98,12 @@ def discover_in(
     chosen, seconds, corrected = setup.settings, dict[str, float](), corrected or Corrected()
     with jax.enable_x64(True):
         named = _named(problem, setup, notify, seconds)
-        if _elaborate(named, setup, chosen.criteria):
+        if _unexplained(named, setup, chosen.criteria):
             notify("errors stay above the noise: elaborate effects are looked for too")
-            named = _named(corrected.with_catalogue(problem, setup.effects), setup, notify, seconds)
+            whole = corrected.with_catalogue(problem, setup.effects)
+            if not named.how.segmented or _elaborate_counts(named, whole, setup):
+                named = _named(whole, setup, notify, seconds)
         notify("locating: the correction that each equation would need")
-        with _timed(seconds, "numbers"):
-            named = named._replace(selection=named.how.finish(named.problem, named.selection))
         with _timed(seconds, "locate"):
             location = _located(named)
         notify("judging: what corrections without a name would explain")
@@ -138,30 +137,46 @@ def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], second
     chosen = setup.settings
     how = scoring(problem, setup.estimation, chosen, setup.start, np.random.default_rng(chosen.seed))
     with _timed(seconds, "recalibrate"):
-        nominal = nominal_guess(problem, how.signals(problem, 0), how.settings)
-        begun = recalibrated_guess(problem, how.signals(problem, 0), nominal, how.settings, chosen)
+        nominal = nominal_guess(problem, how.signals(problem), how.settings)
+        begun = recalibrated_guess(problem, how.signals(problem), nominal, how.settings, chosen)
         known = _as_known(problem, how, begun, chosen)
         problem = known(problem)
+    criteria = _criteria(how, chosen)
     with _timed(seconds, "name"):
-        criteria = chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
         screened = remembered(how.screen(problem, chosen.without, criteria), notify)
         selection = select(problem, begun, criteria, screened)
+    with _timed(seconds, "numbers"):
+        selection = how.finish(problem, selection)
     return Named(problem, how, known, nominal, selection)
 
 
-def _elaborate(named: Named, setup: Setup, criteria: Criteria) -> bool:
+def _criteria(how: Scoring, chosen: DiscoverySettings) -> Criteria:
+    return chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
+
+
+def _unexplained(named: Named, setup: Setup, criteria: Criteria) -> bool:
     """Is there an elaborate effect to look for, and are there errors for it to explain?"""
-    left = named.selection.last.rms() > criteria.above * named.selection.floor
+    selection = named.selection
+    left = selection.last.rms(selection.final) > criteria.above * selection.floor
     return left and len(setup.first_effects) < len(setup.effects)
+
+
+def _elaborate_counts(named: Named, whole: Problem, setup: Setup) -> bool:
+    """Does any elaborate effect count beside what was found? whole: the problem with the entire catalogue. A whole new
+    search in segments takes minutes."""
+    how, last, criteria = named.how, named.selection.last.base.estimate, _criteria(named.how, setup.settings)
+    plain = [effect.name for effect in setup.first_effects]
+    theta, x0 = carried(named.problem, whole, last.theta, last.x0, how.signals(whole).start)
+    screening = how.screen(whole, plain, criteria)(how.fitted(whole, Guess(last.active, theta, x0)))
+    return counting(whole, criteria, named.selection.first, screening)
 
 
 def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Judged:
     """Nonparametric corrections beside the names, and the verdict on the estimation record."""
     problem, how, known, nominal, selection = named
-    signals = partial(how.signals, effects=len(selection.final.estimate.active))
-    corrections = Corrections(problem, corrected, known, signals, how.settings)
+    corrections = Corrections(problem, corrected, known, how.signals, how.settings)
     nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
-    before = evaluate(problem, how.signals(problem, 0), nominal)
+    before = evaluate(problem, how.signals(problem), nominal)
     rms = (before.cost / selection.first.size) ** 0.5
     convention = reading_convention(problem, selection.final)
     judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
@@ -183,7 +198,7 @@ def _told(corrections: Corrections, how: Scoring, selection: Selection, judgemen
         return None
     screening, best = judgement.unnamed
     flexible = corrections.by_all() if how.segmented else corrections.by(best.name)
-    signals = how.signals(flexible, len(selection.final.estimate.active))
+    signals = how.signals(flexible)
     guess = best.model.estimate if best.model else best.guess
     _, x = simulate(flexible, signals.u, guess.theta[None], guess.x0[None])
     return formula(flexible, signals, screening, best, x[0])
@@ -192,7 +207,7 @@ def _told(corrections: Corrections, how: Scoring, selection: Selection, judgemen
 def _located(named: Named) -> Location:
     """The correction signal of the recalibrated physics on the first sequences."""
     problem, how, selection = named.problem, named.how, named.selection
-    record = how.signals(problem, 0)
+    record = how.signals(problem)
     pieces = len(record.u) // len(how.uncut.u)  # segments of each sequence
     count = pieces * max(1, _LOCATED // pieces)
     few = Signals(*(a[:count] for a in record))
@@ -209,7 +224,7 @@ def _as_known(problem: Problem, how: Scoring, begun: Guess, chosen: DiscoverySet
     """Problems whose physics has a prior; the noise is what a free refit leaves."""
     if chosen.tolerance is None or how.segmented:
         return lambda same: same
-    tolerance, record = chosen.tolerance, how.signals(problem, 0)
+    tolerance, record = chosen.tolerance, how.signals(problem)
     noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / record.size
     return lambda other: other.held(tolerance, noise)
 

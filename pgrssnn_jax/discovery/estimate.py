@@ -35,7 +35,7 @@ class Settings(NamedTuple):
         """Lanes of the program for so many fits. One sequence is so little work that empty lanes cost less than a
         second program: 24 lanes take 25 ms a step, 2 take 12 (the tanks)."""
         few = count <= _FEW * self.devices and len(signals.u) > 1
-        return self.devices if few else self.lanes
+        return min(self.devices, self.lanes) if few else self.lanes
 
 
 class Estimate(NamedTuple):

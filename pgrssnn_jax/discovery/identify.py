@@ -64,7 +64,7 @@ def final_numbers(problem: Problem, how: Scoring, selection: Selection, toleranc
     without = {name: one.base.estimate.guess for name, one in selection.screenings.items()}
     if tolerance is None or how.segmented:
         return Numbers(selection.recalibrated, selection.final, without, [], [])
-    signals, settings = how.signals(problem, len(selection.final.estimate.active)), how.settings
+    signals, settings = how.signals(problem), how.settings
 
     def settled(model: Model) -> tuple[Problem, Model]:
         held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings)

@@ -4,14 +4,14 @@
 
 The states at which stretches start are eliminated stretch by stretch; what remains are normal equations per stretch,
 from which fits of every candidate, fits without each fold, and fits to noise are sums and small solves. The best are
-then fitted properly, and the free run over whole sequences says whether they matter. The more is known, the longer the
-stretches: what grows slowly is hidden by the free start of a short one, and a long one of a wrong physics has no usable
-gradient.
+then fitted properly, and the free run over whole sequences says whether they matter. What grows slowly is hidden by the
+free start of a short stretch, and a long one of a wrong physics has no usable gradient.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -24,9 +24,9 @@ from pgrssnn_jax.discovery.null import nats, null_of
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
 
-_CHUNK = 24  # numbers in one linearisation
+_PLACES = (32, 96)  # numbers in one linearisation, few or many: one of 96 takes twice as long as one of 24
 DRAWS = 200  # of the null, at most: every draw is a fit
-_FINALISTS = 4  # candidates that are fitted properly
+_FINALISTS = 3  # candidates that are fitted properly
 _BEYOND_REACH = 1.5  # times the best cost that was reached: candidates whose promise is above it are not fitted
 _LOST = 10.0  # standard deviations: an error that a free run which has left the range counts
 _RIDGE = 1e-9
@@ -47,7 +47,7 @@ class Reduced(NamedTuple):
 
 def score_linearised(
     problem: Problem,
-    segments: Sequence[Signals],
+    signals: Signals,
     base: Guess | Model,
     settings: Settings,
     criteria: Criteria,
@@ -55,29 +55,25 @@ def score_linearised(
     without: Sequence[str],
     *,
     whole: Signals,
+    least: float = 0.0,
 ) -> Screening:
-    """As `candidates.score_candidates`: candidates are ranked by one linear step each, and the best are then fitted.
+    """As `candidates.score_candidates`: candidates are ranked by one linear step each, and the best are then fitted,
+    where they promise to lower the RMS error by the share `least`.
 
-    segments: from short to long, one more for every effect that is there; whole: sequences uncut, with their starts,
-    for the free run that has the last word.
+    signals: the segments; whole: sequences uncut, with their starts, for the free run that has the last word.
     """
-    known = base if isinstance(base, Model) else None
-    guess = base.estimate.guess if isinstance(base, Model) else base
-    signals = segments[min(len(guess.active), len(segments) - 1)]
-    if known is None or guess.x0.shape != signals.start.shape:
-        if guess.x0.shape != signals.start.shape:
-            guess = guess._replace(x0=signals.start)
-        ((guess, _),) = fit_all(problem, signals, [guess], settings)
-        known = None
-    own = np.concatenate([problem.of(name) for name in (None, *guess.active)])
-    own = own[np.isfinite(guess.theta[own])]
-    reference = known or segment_model(problem, signals, guess, own, whole)
-    noise = surrogates(reference.estimate.error, min(criteria.draws, DRAWS), rng).astype(np.float32)
+    if isinstance(base, Guess):
+        ((fitted, _),) = fit_all(problem, signals, [base], settings)
+        base = segment_model(problem, signals, fitted, whole)
+    guess = base.estimate.guess
+    own = _free(problem, guess)
+    noise = surrogates(base.estimate.error, min(criteria.draws, DRAWS), rng).astype(np.float32)
     size = signals.size
     cost, promises, falls = _promised(problem, signals, guess, own, without, noise)
     null = null_of({name: nats(fall, size) for name, fall in falls.items()})
     promises = [c._replace(gain=float(nats(c.gain, size))) for c in promises]
     hopeful = [c for c in promises[:_FINALISTS] if null.p_value(c.name, c.gain) <= criteria.hopeless]
+    hopeful = [c for c in hopeful if 1.0 - np.exp(-c.gain / size) >= least]
     found = [c for c in promises if c.name not in {h.name for h in hopeful}]
     best = np.inf
     for i in range(0, len(hopeful), settings.lanes):
@@ -87,13 +83,11 @@ def score_linearised(
             break
         for fitted, reached in fit_all(problem, signals, [c.guess for c in several], settings):
             name, best = fitted.active[-1], min(best, reached)
-            more = problem.of(name)
-            places = np.concatenate([own, more[np.isfinite(fitted.theta[more])]])
-            model = segment_model(problem, signals, fitted, places, whole)
+            model = segment_model(problem, signals, fitted, whole)
             found.append(Candidate(name, float(nats(1.0 - reached / cost, size)), fitted, model))
     ordered = tuple(sorted(found, key=lambda c: (-c.score, -c.gain)))
-    tried = [reference, *(c.model for c in ordered if c.model)]
-    return Screening(reference, ordered, null, {}, size, white_noise(signals, tried))
+    tried = [base, *(c.model for c in ordered if c.model)]
+    return Screening(base, ordered, null, {}, size, white_noise(signals, tried))
 
 
 def _promised(
@@ -118,8 +112,9 @@ def _promised(
     return cost, [Candidate(name, 1.0 - left / cost, guess) for name, (left, guess) in ranked], falls
 
 
-def segment_model(problem: Problem, signals: Signals, fitted: Guess, places: np.ndarray, whole: Signals) -> Model:
+def segment_model(problem: Problem, signals: Signals, fitted: Guess, whole: Signals) -> Model:
     """A fitted model, scored by its own linearisation; sequences are its blocks, and standard errors are over them."""
+    places = _free(problem, fitted)
     (reduced,) = _linearised(problem, signals, fitted, [places], places)
     fold = signals.block[:, 0]
     _, held_out, _ = _solve(reduced, fold)
@@ -131,16 +126,22 @@ def segment_model(problem: Problem, signals: Signals, fitted: Guess, places: np.
     deviation = np.zeros(len(fitted.theta))
     deviation[reduced.places] = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
     counts = np.full(len(held_out), signals.y[0].size)
-    free_run = _free_run(problem, whole, fitted)
+    free_run = whole_runs(problem, whole, fitted)
     estimate = evaluate(problem, signals, fitted)
     return Model(estimate, held_out, counts, deviation, max(len(pulls) - 1.0, 1.0), free_run)
 
 
-def _free_run(problem: Problem, whole: Signals, guess: Guess) -> float:
-    """RMS of the weighted errors over whole sequences."""
+def _free(problem: Problem, guess: Guess) -> np.ndarray:
+    """Positions in θ of what a fit moves."""
+    places = np.concatenate([problem.of(name) for name in (None, *guess.active)]).astype(int)
+    return places[np.isfinite(guess.theta[places])]
+
+
+def whole_runs(problem: Problem, whole: Signals, guess: Guess) -> Float[np.ndarray, " seq"]:
+    """Mean squared weighted error of a run over each whole sequence."""
     y, _ = simulate(problem, whole.u, guess.theta[None], whole.start[None])
     error = np.where(np.isfinite(y[0]), whole.weight * (whole.y - y[0]), _LOST)
-    return float(np.sqrt((np.minimum(np.abs(error), _LOST) ** 2).mean()))
+    return (np.minimum(np.abs(error), _LOST) ** 2).mean((1, 2))
 
 
 def _candidates(
@@ -179,19 +180,19 @@ def _linearised(
 ) -> list[Reduced]:
     """Own numbers and those wanted, one `Reduced` for each of these, from as few sensitivities as hold them all."""
     numbers = np.unique(np.concatenate([own, *wanted]).astype(int))
-    count = max(1, -(-len(numbers) // _CHUNK))
-    padded = np.pad(numbers, (0, count * _CHUNK - len(numbers)), constant_values=-1).reshape(count, _CHUNK)
-    runs = [sensitivity(problem, signals, Lanes(guess.theta[None], guess.x0[None], chunk[None])) for chunk in padded]
+    size = next((n for n in _PLACES if len(numbers) <= n), _PLACES[-1])
+    count = max(1, -(-len(numbers) // size))
+    padded = np.pad(numbers, (0, count * size - len(numbers)), constant_values=-1).reshape(count, size)
+    alone, devices = (guess.theta[None], guess.x0[None]), jax.device_count()
+    runs = [sensitivity(problem, signals, Lanes(*alone, chunk[None]), devices) for chunk in padded]
     blocks = [np.where(np.isfinite(dy[0]), dy[0], 0.0) for _, dy in runs]
     weight = signals.weight[..., None]
     n_seq = len(signals.u)
     error = (signals.weight * (signals.y - runs[0][0][0])).reshape(n_seq, -1)
     error = np.where(np.isfinite(error), error, 0.0)
-    columns = np.concatenate(
-        [(weight * block[..., :_CHUNK]).reshape(n_seq, error.shape[1], -1) for block in blocks], -1
-    )
+    columns = np.concatenate([(weight * block[..., :size]).reshape(n_seq, error.shape[1], -1) for block in blocks], -1)
     columns = columns[..., : len(numbers)]
-    starts = (weight * blocks[0][..., _CHUNK:]).reshape(n_seq, error.shape[1], -1)
+    starts = (weight * blocks[0][..., size:]).reshape(n_seq, error.shape[1], -1)
     free = problem.code.free_start
     rest, pull, left = _without_starts(
         signals.precision[:, free], (signals.start - guess.x0)[:, free], columns, starts, error

@@ -12,7 +12,7 @@ import numpy as np
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.follows import Follows, errors_follow
-from pgrssnn_jax.discovery.nonparametric import FINALISTS, Corrections, score_corrections
+from pgrssnn_jax.discovery.nonparametric import CURVED, Corrections, score_corrections
 from pgrssnn_jax.discovery.problem import carried
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
@@ -51,7 +51,7 @@ def look_beyond(
 
 def _on_segments(corrections: Corrections, how: Scoring, selection: Selection, criteria: Criteria) -> Screening:
     problem, wide = corrections.problem, corrections.by_all()
-    signals, final = corrections.signals(wide), selection.final
-    theta, x0 = carried(problem, wide, final.estimate.theta, final.estimate.x0, signals.start)
-    screen = how.screen(wide, [effect.name for effect in problem.effects], criteria._replace(finalists=FINALISTS))
-    return screen(Guess(final.estimate.active, theta, x0))
+    signals, last = corrections.signals(wide), selection.last.base.estimate
+    theta, x0 = carried(problem, wide, last.theta, last.x0, signals.start)
+    screen = how.screen(wide, [effect.name for effect in problem.effects], criteria)
+    return screen(how.fitted(wide, Guess(last.active, theta, x0)), least=criteria.share / CURVED)

@@ -19,8 +19,8 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, carried
 from pgrssnn_jax.discovery.responses import Response, correction_responses, path_of
 from pgrssnn_jax.discovery.settings import Criteria
 
-FINALISTS = 2  # corrections that are fitted
-_CURVED = 2.0  # times what its linear response promises, at most, is what a fitted correction reaches
+_FINALISTS = 2  # corrections that are fitted
+CURVED = 2.0  # times what its linear response promises, at most, is what a fitted correction reaches
 
 
 class Corrections(NamedTuple):
@@ -58,11 +58,11 @@ def score_corrections(
     falls = _falls(at, list(columns.values()))
     size = signals.size
     promised = {name: float(nats(fall, size)) for name, fall in zip(columns, falls, strict=True)}
-    closed = {name: _CURVED * _closed(base, size, fall) for name, fall in zip(columns, falls, strict=True)}
+    closed = {name: CURVED * _closed(base, size, fall) for name, fall in zip(columns, falls, strict=True)}
     ranked = sorted(promised, key=lambda name: -promised[name])
     hopeful = [n for n in ranked if null.p_value(n, promised[n]) <= criteria.hopeless and closed[n] >= least]
-    fitted = [_fitted(corrections, base, name, responses[name], criteria.block) for name in hopeful[:FINALISTS]]
-    rest = [Candidate(name, promised[name], guess) for name in ranked if name not in hopeful[:FINALISTS]]
+    fitted = [_fitted(corrections, base, name, responses[name], criteria.block) for name in hopeful[:_FINALISTS]]
+    rest = [Candidate(name, promised[name], guess) for name in ranked if name not in hopeful[:_FINALISTS]]
     found = sorted([*fitted, *rest], key=lambda c: (-c.score, -c.gain))
     models = [c.model for c in fitted if c.model]
     return Screening(base, tuple(found), null, {}, size, white_noise(signals, [base, *models]))

@@ -64,6 +64,10 @@ class Judge(NamedTuple):
         least = max(self.criteria.rest * left, self.criteria.exact * self.gap)
         if not share and not (left > 0.0 and closed >= least):
             return False
+        if candidate.model.free_run is not None:
+            nearer, spread = candidate.model.nearer_than(screening.base)
+            if nearer <= self.criteria.certain * spread:
+                return False
         sure = not share or self.problem.effect(candidate.name).elaborate
         if better <= (self.criteria.certain if sure else self.criteria.standard_errors) * error:
             return False
@@ -133,6 +137,11 @@ def select(problem: Problem, start: Guess, criteria: Criteria, screened: Screene
     return Selection(first.base, last.base, screenings, first, last, min(first.noise, last.noise))
 
 
+def counting(problem: Problem, criteria: Criteria, first: Screening, screening: Screening) -> bool:
+    """Does any candidate of a screening count? first: the screening beside nothing."""
+    return _judge(problem, criteria, first).best(screening, {}) is not None
+
+
 def _judge(problem: Problem, criteria: Criteria, first: Screening) -> Judge:
     if first.base.free_run is not None:  # of segments; the free run over sequences has errors of its own scale
         return Judge(problem, criteria, first.rms(), float("inf"))
@@ -200,8 +209,7 @@ def _with_known(screening: Screening, beside: Screening) -> Screening:
     fitted = beside.base
     (name,) = set(fitted.estimate.active) - set(screening.base.estimate.active)
     own = next((c for c in screening.candidates if c.name == name), None)
-    other_segments = fitted.counts.shape != screening.base.counts.shape  # scores of longer ones do not compare
-    if other_segments or (own is not None and own.score >= fitted.score):
+    if own is not None and own.score >= fitted.score:
         return screening
     gain = nats(1.0 - fitted.estimate.cost / screening.base.estimate.cost, screening.size)
     known = Candidate(name, float(gain), fitted.estimate.guess, fitted)

@@ -55,7 +55,7 @@ class DiscoverySettings:
     fixed: list[str] = field(default_factory=lambda: list(_FIXED))  # parameters that no fit moves, NAME or PHYSICS.NAME
     tolerance: float | None = 0.5  # prior: relative standard deviation of the other parameters; None: no prior
     evidence: Literal["auto", "inverse_dynamics", "free_run"] = "auto"  # of an arm
-    stretches: Any = "auto"  # samples of simulated stretches, one length after the other; []: whole records
+    stretches: Any = "auto"  # samples of simulated stretches: in a search, then for its numbers; []: whole records
     without: list[str] = field(default_factory=list)  # names of effects that are no candidates
     effects: list[str] = field(default_factory=list)  # your own effects: MODULE.NAME of an Effect or of a function
     starts: int = 4  # starting values of the recalibration

@@ -108,7 +108,7 @@ def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tu
 
 
 def _surely_better(one: Model, other: Model, criteria: Criteria) -> bool:
-    better, error = one.better_than(other)
+    better, error = one.better_than(other) if one.free_run is None else one.nearer_than(other)
     return better > criteria.certain * error
 
 

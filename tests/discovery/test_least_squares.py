@@ -120,6 +120,20 @@ def test_sensitivities_are_those_of_finite_differences(problem, record):
     np.testing.assert_allclose(dy[0][..., [0, 1, 2, 3, 5, 6]], expected, rtol=1e-4, atol=1e-5)
 
 
+def test_devices_that_share_the_sequences_of_one_fit_change_nothing(problem, record):
+    """Nine sequences on two devices: one is added without weight."""
+    free = at(problem, *OWN)
+    noise = 0.02 * np.random.default_rng(5).standard_normal((9, *record.y.shape[1:]))
+    many = Signals(*(np.repeat(a, 9, 0) for a in record))._replace(y=record.y + noise)
+    one = Lanes(problem.theta[None], many.start[None], np.array([free]))
+    alone, shared = (fit(problem, many, one, steps=20, devices=devices) for devices in (1, 2))
+    np.testing.assert_allclose(shared.cost, alone.cost, rtol=1e-9)
+    np.testing.assert_allclose(shared.theta, alone.theta, rtol=1e-6)
+    np.testing.assert_allclose(shared.x0, alone.x0, rtol=1e-6)
+    for mine, other in zip(sensitivity(problem, many, one), sensitivity(problem, many, one, 2), strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-9, atol=1e-12)
+
+
 def test_bounds_hold(problem, record):
     """Water comes in rather than out, so that a leak would have to be negative."""
     free = at(problem, "leak_tank1.rate")
