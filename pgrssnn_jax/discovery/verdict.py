@@ -108,8 +108,14 @@ def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tu
 
 
 def _surely_better(one: Model, other: Model, criteria: Criteria) -> bool:
-    better, error = one.better_than(other) if one.free_run is None else one.nearer_than(other)
+    better, error = _compared(one, other)
     return better > criteria.certain * error
+
+
+def _compared(one: Model, other: Model) -> tuple[float, float]:
+    """How much better one predicts, and the standard error: left-out blocks, or whole sequences where fits see segments
+    of them."""
+    return one.better_than(other) if one.free_run is None else one.nearer_than(other)
 
 
 def _dependent(selection: Selection, nameless: Nameless, criteria: Criteria) -> bool:
@@ -133,7 +139,7 @@ def _alternatives(problem: Problem, screening: Screening, name: str, criteria: C
         related = other.name in problem.effect(name).simpler or name in problem.effect(other.name).simpler
         if other.name == name or related or other.model is None or screening.redundant(other.name):
             continue
-        worse, error = own.model.better_than(other.model)
+        worse, error = _compared(own.model, other.model)
         better, base_error = other.model.better_than(screening.base)
         counts = better > criteria.standard_errors * base_error and screening.p_value(other) <= criteria.further
         if counts and worse <= criteria.tied * error:
