@@ -50,6 +50,14 @@ def sum_over_devices(value: jax.Array) -> jax.Array:
     return jax.lax.psum(value, _AXIS)
 
 
+def filled_up(tree: Any, devices: int) -> Any:
+    """Leading axis to a multiple of the devices, with copies of the last entry."""
+    missing = -len(jax.tree.leaves(tree)[0]) % devices
+    if not missing:
+        return tree
+    return jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)]), tree)
+
+
 def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., Any]:
     """The same function of trees with a leading axis, that axis sharded over the first `devices` JAX devices; padded to
     a multiple of them with copies of the last entry, which are dropped again."""
@@ -62,9 +70,6 @@ def over_devices(function: Callable[..., Any], devices: int) -> Callable[..., An
 
     def on_devices(*trees: Any) -> Any:
         count = len(jax.tree.leaves(trees)[0])
-        missing = -count % devices
-        if missing:
-            trees = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], missing, axis=0)]), trees)
-        return jax.tree.map(lambda a: a[:count], sharded(*trees))
+        return jax.tree.map(lambda a: a[:count], sharded(*filled_up(trees, devices)))
 
     return on_devices

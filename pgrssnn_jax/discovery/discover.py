@@ -162,8 +162,8 @@ def _unexplained(named: Named, setup: Setup, criteria: Criteria) -> bool:
 
 
 def _elaborate_counts(named: Named, whole: Problem, setup: Setup) -> bool:
-    """Does any elaborate effect count beside what was found? whole: the problem with the entire catalogue. A whole new
-    search in segments takes minutes."""
+    """Is an elaborate effect selected beside the effects already found? whole: the problem with the entire catalogue.
+    One screening takes seconds, a second search in segments minutes."""
     how, last, criteria = named.how, named.selection.last.base.estimate, _criteria(named.how, setup.settings)
     plain = [effect.name for effect in setup.first_effects]
     theta, x0 = carried(named.problem, whole, last.theta, last.x0, how.signals(whole).start)

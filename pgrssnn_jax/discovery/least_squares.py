@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.acceleration.compiler import quick_jit
-from pgrssnn_jax.acceleration.devices import over_devices, sum_over_devices
+from pgrssnn_jax.acceleration.devices import filled_up, over_devices, sum_over_devices
 from pgrssnn_jax.discovery.free_runs import free_run, time_first, with_derivatives
 from pgrssnn_jax.discovery.marquardt import Limits, Task, begin, step
 from pgrssnn_jax.discovery.problem import Code, Problem, Signals
@@ -100,12 +100,10 @@ def _shares(lanes: Lanes, devices: int) -> bool:
     return devices > 1 and len(lanes.theta) == 1 and lanes.x0.shape[1] >= _SHARED * devices
 
 
-def _simulate_lanes(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
+@partial(jax.jit, static_argnums=0)
+def _simulate(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
     y, x = free_run(code, time_first(u), theta.T, jnp.transpose(x0, (2, 1, 0)))
     return jnp.transpose(y, (3, 2, 0, 1)), jnp.transpose(x, (3, 2, 0, 1))
-
-
-_simulate = partial(jax.jit, static_argnums=0)(_simulate_lanes)
 
 
 @quick_jit(lambda code, *_: not code.accelerate, static_argnums=(0, 1))
@@ -137,15 +135,15 @@ def _fit(
     if not _shares(lanes, devices):
         return over_devices(of_lanes, devices)(lanes)
     count = len(signals.u)
-    x0, theta, cost = over_devices(of_sequences, devices)(*_filled_up(lanes.x0[0], signals, devices))
+    x0, theta, cost = over_devices(of_sequences, devices)(*_without_weight(lanes.x0[0], signals, devices))
     return theta[:1], x0[None, :count], cost[:1]
 
 
-def _filled_up(x0: Array, signals: Signals, devices: int) -> tuple[Any, Any]:
-    """Sequences to a multiple of the devices: those added have no weight."""
-    missing = -len(x0) % devices
-    x0, filled = jax.tree.map(lambda a: jnp.concatenate([a, jnp.repeat(a[-1:], missing, 0)]), (x0, signals))
-    added = np.arange(len(x0)) >= len(x0) - missing
+def _without_weight(x0: Array, signals: Signals, devices: int) -> tuple[Any, Any]:
+    """Sequences filled up to a multiple of the devices; those added have no weight."""
+    count = len(x0)
+    x0, filled = filled_up((x0, signals), devices)
+    added = np.arange(len(x0)) >= count
     weight, precision = (
         jnp.where(jnp.expand_dims(added, range(1, a.ndim)), 0.0, a) for a in (filled.weight, filled.precision)
     )

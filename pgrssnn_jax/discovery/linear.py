@@ -76,15 +76,13 @@ def score_linearised(
     hopeful = [c for c in hopeful if 1.0 - np.exp(-c.gain / size) >= least]
     found = [c for c in promises if c.name not in {h.name for h in hopeful}]
     best = np.inf
-    for i in range(0, len(hopeful), settings.lanes):
-        several = hopeful[i : i + settings.lanes]
-        if np.exp(-2.0 * several[0].gain / size) * cost > _BEYOND_REACH * best:
-            found += hopeful[i:]
-            break
-        for fitted, reached in fit_all(problem, signals, [c.guess for c in several], settings):
-            name, best = fitted.active[-1], min(best, reached)
-            model = segment_model(problem, signals, fitted, whole)
-            found.append(Candidate(name, float(nats(1.0 - reached / cost, size)), fitted, model))
+    for candidate in hopeful:
+        if np.exp(-2.0 * candidate.gain / size) * cost > _BEYOND_REACH * best:
+            found.append(candidate)
+            continue
+        ((fitted, reached),) = fit_all(problem, signals, [candidate.guess], settings)
+        best, model = min(best, reached), segment_model(problem, signals, fitted, whole)
+        found.append(Candidate(candidate.name, float(nats(1.0 - reached / cost, size)), fitted, model))
     ordered = tuple(sorted(found, key=lambda c: (-c.score, -c.gain)))
     tried = [base, *(c.model for c in ordered if c.model)]
     return Screening(base, ordered, null, {}, size, white_noise(signals, tried))

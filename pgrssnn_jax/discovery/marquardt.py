@@ -1,6 +1,6 @@
-"""One step of Levenberg-Marquardt for many fits (lanes) at once: linearise, solve, accept. Arrays have lanes last.
+"""One step of Levenberg-Marquardt for many fits (lanes) at once: linearise, solve, try, accept. Arrays have lanes last.
 
-    (JᵀJ + λ diag JᵀJ + Λ) δ = Jᵀe + Λ (β_given - β)        β = (θ_A, x_0), Λ: precision of the prior
+    (JᵀJ + λ diag JᵀJ + Λ) δ = Jᵀe + Λ (β_nominal - β)        β = (θ_A, x_0), Λ: precision of the prior
 
 The initial states of the sequences are eliminated by a Schur complement, so that there may be many. Sequences may be
 shared by devices: sums over them go through `Task.total`. Source of the damping: Marquardt 1963; of the elimination:
@@ -28,11 +28,11 @@ _GIVE_UP = 1e6  # damping at which no step is left
 
 
 class Limits(NamedTuple):
-    """Bounds of θ, what was given and its precision, each `[p]`."""
+    """Bounds, nominal numbers and precisions of the prior of θ, each `[p]`."""
 
     low: Float[Array, " p"]
     high: Float[Array, " p"]
-    given: Float[Array, " p"]
+    nominal: Float[Array, " p"]
     precision: Float[Array, " p"]
 
 
@@ -136,20 +136,20 @@ def _costs(task: Task, theta: jax.Array, x0: jax.Array, error: jax.Array) -> tup
     known = task.limits.precision
     start = (task.precision * (x0 - task.guessed) ** 2).sum(0)
     by_sequence = (error**2).sum((0, 1)) + start
-    from_given = jnp.where(known > 0, theta - task.limits.given, 0.0)
-    return (known * from_given**2).sum(0), jnp.where(jnp.isfinite(by_sequence), by_sequence, jnp.inf)
+    departure = jnp.where(known > 0, theta - task.limits.nominal, 0.0)
+    return (known * departure**2).sum(0), jnp.where(jnp.isfinite(by_sequence), by_sequence, jnp.inf)
 
 
 def _solve(task: Task, state: State, normal: Normal) -> tuple[jax.Array, jax.Array]:
     """θ `[trial, p, lane]` and x_0 `[trial, x, seq, lane]`."""
-    (low, high, given, known), place, k = task.limits, task.place, task.free.shape[1]
+    (low, high, nominal, known), place, k = task.limits, task.place, task.free.shape[1]
     now = jnp.take_along_axis(state.theta, place, 0)  # [k, lane]
     lowest, highest = low[place, 0], high[place, 0]
     direction = task.total(normal.pull[..., :k].sum(0)).T
     blocked = ((now <= lowest) & (direction < 0)) | ((now >= highest) & (direction > 0))
     moves = task.used & ~blocked.T  # [lane, k]
     held = known[place, 0].T
-    back = jnp.where(held > 0, held * (given[place, 0] - now).T, 0.0)
+    back = jnp.where(held > 0, held * (nominal[place, 0] - now).T, 0.0)
     back = jnp.where(task.used & jnp.isfinite(back), back, 0.0)
     delta, delta_x = jax.vmap(lambda d: _damped(task, state, normal, moves, held, back, d * state.damping))(
         task.dampings
@@ -223,7 +223,7 @@ def _accept(task: Task, state: State, now: jax.Array, trials: Trials, tolerance:
     better = (cost < now) & ~resting
     held = jnp.clip(state.held * jnp.where(chosen(trials.moved), 0.1, 10.0), 1.0, _GIVE_UP)
     lost = ~better & (state.damping > _GIVE_UP)
-    still = (now - cost <= tolerance * now) | lost
+    still = better & (now - cost <= tolerance * now)
     damping = jnp.where(better, task.dampings[best] * state.damping, state.damping * 30.0)
     return State(
         jnp.where(better, chosen(trials.theta), state.theta),
@@ -231,6 +231,6 @@ def _accept(task: Task, state: State, now: jax.Array, trials: Trials, tolerance:
         jnp.where(better, cost, now),
         jnp.clip(damping, 1e-9, 1e9),
         jnp.where(better, held, state.held),
-        resting | (better & still) | lost,
+        resting | still | lost,
         state.taken + 1,
     )

@@ -118,6 +118,17 @@ def test_what_the_law_of_another_effect_may_have_missed_gets_no_name(tanks, gap,
     assert (Judge(tanks, Criteria(), gap=gap, noise=1.0).best(candidates, {}) is not None) == enters
 
 
+@pytest.mark.parametrize(
+    ("after", "enters"), [([0.2, 0.4, 0.3, 0.5], True), ([0.02, 0.9, 1.3, 1.1], False), ([1.2, 1.1, 1.3, 1.4], False)]
+)
+def test_an_effect_of_segments_must_bring_whole_sequences_nearer(tanks, after, enters):
+    """On nearly all of them: one sequence that comes much nearer, among others that do not, may be luck."""
+    base = model(tanks, 4.0)._replace(free_run=np.ones(4))
+    with_effect = model(tanks, 1.0, (LEAN,))._replace(free_run=np.array(after))
+    candidates = screening(base, {LEAN: with_effect})
+    assert (Judge(tanks, Criteria(), gap=1.0, noise=float("inf")).best(candidates, {}) is not None) == enters
+
+
 def test_what_the_parameters_can_do_exactly_is_no_effect(problem):
     energies = {"": 400.0, "A": 1.0, "C": 2.0}
     assert found(problem, energies, visible={A: (100.0, 50.0)}) == "A"
