@@ -1,6 +1,6 @@
 """From the equations of a plant to a case: inputs, thresholds where the signals are, noise, records.
 
-    v = clip(dead(play(z) + u_offset), -u_top, u_top),   z: u late by `delay` and with a lag
+    v = clip(dead(play(z) + u_offset), -u_top, u_top) + hum sin(2π (t / period + φ)),   z: u late by `delay`, with a lag
     y = clip(y_gain measured + y_offset + e, -y_top, y_top),   one offset per output
 
 dead(v) = sign(v) max(|v| - u_dead, 0), play(z)_t = min(max(play(z)_{t-1}, z_t - u_play), z_t + u_play). A plant is
@@ -141,7 +141,7 @@ def simulate(
     late = [command(one, SUB_STEPS, numbers.get("delay", 0.0), numbers.get("lag", 0.0), 0) for one in u]
     moved = _played(np.array(late), numbers.get("u_play", 0.0))[:, HISTORY * SUB_STEPS :]
     v = moved.reshape(2, -1, SUB_STEPS).reshape(2, -1, sub_steps, SUB_STEPS // sub_steps).mean(-1)
-    v = _acting(numbers, v) + w[..., None]
+    v = _acting(numbers, v) + w[..., None] + _humming(numbers, v.shape)
     x, found = start, np.empty((2, plant.samples, len(start)))
     for t in range(plant.samples):
         for one in v[:, t].T:
@@ -186,6 +186,16 @@ def _acting(numbers: Numbers, u: np.ndarray) -> np.ndarray:
     v = np.sign(v) * np.maximum(np.abs(v) - numbers.get("u_dead", 0.0), 0.0)
     top = numbers.get("u_top", np.inf)
     return np.clip(v, -top, top)
+
+
+def _humming(numbers: Numbers, shape: tuple[int, ...]) -> np.ndarray | float:
+    """Of both records `[record, time, sub step]`, each with a phase of its own, at the middle of every sub step."""
+    if "hum" not in numbers:
+        return 0.0
+    _, time, sub_steps = shape
+    t = np.arange(time)[:, None] + (np.arange(sub_steps) + 0.5) / sub_steps
+    turns = t / numbers["period"] + np.array(numbers["phases"])[:, None, None]
+    return numbers["hum"] * np.sin(2 * np.pi * turns)
 
 
 def reading(plant: Plant, numbers: Numbers, states: np.ndarray, e: np.ndarray | float = 0.0) -> np.ndarray:

@@ -34,6 +34,7 @@ CATALOGUE = Catalogue(
         "input_delay": "delay",
         "sensor_saturation": "sensor",
         "coil_saturation": "coil",
+        "periodic_disturbance": "disturbance",
     },
     noises=(0.01, 0.03, 0.06),
     identical={
@@ -42,7 +43,7 @@ CATALOGUE = Catalogue(
         "sensor_gain": ("input_gain",),
         "leak": ("input_gain", "sensor_gain"),
     },
-    family={"leak": ("power_law",)},
+    family={"periodic_disturbance": ("periodic_sensor_error",), "leak": ("power_law",)},
     unnamed=("coil_saturation",),
 )
 NOMINAL = {"L": 0.1, "C": 1e-3}  # H, F

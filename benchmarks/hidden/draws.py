@@ -30,11 +30,17 @@ def either_sign(rng: np.random.Generator, low: float, high: float) -> float:
     return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
 
 
+def humming(rng: np.random.Generator, size: float | Quantile) -> dict[str, Any]:
+    """Period in samples, phases of both records in turns."""
+    return {"hum": size, "period": uniform(rng, 12.0, 50.0), "phases": rng.uniform(0.0, 1.0, 2).tolist()}
+
+
 Draw = Callable[[np.random.Generator], dict[str, Any]]
 COMMON: dict[str, Draw] = {  # what any actuator and sensor may have; a delay of one sample is a convention of reading
     "input_saturation": lambda rng: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "input")},
     "input_delay": lambda rng: {"delay": round(uniform(rng, 1.4, 3.5) * SUB_STEPS) / SUB_STEPS},
     "sensor_saturation": lambda rng: {"y_top": Quantile(uniform(rng, 0.75, 0.92), "reading")},
+    "periodic_disturbance": lambda rng: humming(rng, Quantile(uniform(rng, 0.3, 0.6), "input")),
 }
 
 

@@ -22,7 +22,7 @@ from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
 from . import bench
 from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import COMMON, Draw, either_sign, uniform
+from .draws import COMMON, Draw, either_sign, humming, uniform
 from .signals import Wave, low_pass, random_steps
 
 CATALOGUE = Catalogue(
@@ -34,10 +34,15 @@ CATALOGUE = Catalogue(
         "input_offset": "constant",
         "sensor_offset": "constant",
         "input_delay": "delay",
+        "periodic_disturbance": "disturbance",
     },
     noises=(0.001, 0.003, 0.01),
     identical={"input_offset": ("constant_force",), "sensor_offset": ("constant_force",)},
-    family={"coulomb_friction": ("stribeck_friction", "hysteresis"), "backlash": ("hysteresis",)},
+    family={
+        "periodic_disturbance": ("periodic_sensor_error",),
+        "coulomb_friction": ("stribeck_friction", "hysteresis"),
+        "backlash": ("hysteresis",),
+    },
 )
 NOMINAL = {"j1": 0.02, "j2": 0.03, "k": 2.0, "d": 0.02, "f": 0.1}  # kg m², kg m², Nm/rad, Nm s/rad, Nm s/rad
 _DT = 0.02  # s
@@ -84,6 +89,7 @@ def _slope(n: Numbers, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 _DRAWS: dict[str, Draw] = COMMON | {
+    "periodic_disturbance": lambda rng: humming(rng, uniform(rng, 0.02, 0.06)),
     "backlash": lambda rng: {"u_play": _TORQUE * uniform(rng, 0.05, 0.2)},
     "coulomb_friction": lambda rng: {"dry": uniform(rng, 0.1, 0.4) * _TORQUE / NOMINAL["j1"]},
     "quadratic_drag": lambda rng: {"drag": uniform(rng, 0.3, 1.2)},

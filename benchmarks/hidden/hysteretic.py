@@ -27,10 +27,14 @@ CATALOGUE = Catalogue(
         "input_saturation": "input",
         "input_delay": "delay",
         "sensor_saturation": "sensor",
+        "periodic_disturbance": "disturbance",
     },
     noises=(0.002, 0.005, 0.01),
     identical={"input_offset": ("constant_force", "sensor_offset")},
-    family={"hysteresis": ("coulomb_friction", "stribeck_friction", "linear_spring", "backlash")},
+    family={
+        "periodic_disturbance": ("periodic_sensor_error",),
+        "hysteresis": ("coulomb_friction", "stribeck_friction", "linear_spring", "backlash"),
+    },
 )
 
 

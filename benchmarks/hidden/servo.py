@@ -19,7 +19,7 @@ from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
 from . import bench
 from .bench import Numbers, Plant
 from .case import Catalogue
-from .draws import COMMON, Draw, Quantile, either_sign, uniform
+from .draws import COMMON, Draw, Quantile, either_sign, humming, uniform
 from .signals import Wave, low_pass, random_steps
 
 CATALOGUE = Catalogue(
@@ -30,10 +30,11 @@ CATALOGUE = Catalogue(
         "input_saturation": "force",
         "input_dead_zone": "force",
         "input_delay": "delay",
+        "periodic_disturbance": "disturbance",
     },
     noises=(0.0005, 0.001, 0.003),
     identical={"input_offset": ("constant_force",)},
-    family={"coulomb_friction": ("stribeck_friction",)},
+    family={"periodic_disturbance": ("periodic_sensor_error",), "coulomb_friction": ("stribeck_friction",)},
 )
 NOMINAL = {"m": 95.0, "f": 203.0}  # kg, N s/m
 _DT = 0.02
@@ -72,6 +73,7 @@ _DRAWS: dict[str, Draw] = COMMON | {
     "input_offset": lambda rng: {"u_offset": either_sign(rng, 4.0, 15.0)},
     "input_saturation": lambda rng: {"u_top": Quantile(uniform(rng, 0.75, 0.90), "input")},
     "input_dead_zone": lambda rng: {"u_dead": uniform(rng, 5.0, 20.0)},
+    "periodic_disturbance": lambda rng: humming(rng, uniform(rng, 20.0, 50.0)),
 }
 
 

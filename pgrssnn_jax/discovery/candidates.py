@@ -15,6 +15,7 @@ from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
+from pgrssnn_jax.effects.base import SignalRange
 
 _ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
 _AT_EACH = 2  # starting values of an effect from which it is fitted
@@ -111,7 +112,8 @@ def score_candidates(
     may have let them go."""
     if isinstance(base, Guess):
         base = _fitted_base(problem, signals, base, settings, criteria)
-    here, guesses = base.estimate.guess, _beside(problem, signals, base.estimate.guess, without)
+    here, span = base.estimate.guess, signal_range_of(problem, signals, base.estimate.guess)
+    guesses = _beside(problem, span, here, without)
     run, *begun = runs(problem, signals, [here, *guesses], settings)
     at, _ = linearisation(problem, signals, here, run)
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
@@ -121,12 +123,14 @@ def score_candidates(
         return float(nats(1.0 - low / cost, signals.size))
 
     rough = fit_all(problem, signals, guesses, settings.roughly)
-    rough = sorted(((g, low) for g, low in rough if np.isfinite(low)), key=lambda found: found[1])
+    rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active[-1], g.theta, span)]
+    rough.sort(key=lambda found: found[1])
     few = [Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough)]
     null = _null(problem, signals, (at, named), few[0] if few else None, settings, criteria, rng)
     hopeful = any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
     fitted = _fitted(problem, signals, _finalists(rough, criteria.finalists), settings, criteria) if hopeful else []
     found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]
+    found = [c for c in found if problem.credible(c.name, c.guess.theta, span)]
     found += [c for c in few if c.name not in {other.name for other in found}]
     found.sort(key=lambda c: (-c.score, -c.gain))
     noise = white_noise(signals, [base, *(model for model, _ in fitted)])
@@ -200,14 +204,14 @@ def fitted_models(
     return found
 
 
-def _beside(problem: Problem, signals: Signals, base: Guess, without: Sequence[str]) -> list[Guess]:
+def _beside(problem: Problem, span: SignalRange, base: Guess, without: Sequence[str]) -> list[Guess]:
     """Every effect that a guess does not have, at every start."""
-    span = signal_range_of(problem, signals, base)
     return [
-        Guess((*base.active, effect.name), problem.put(base.theta, effect.name, numbers), base.x0)
+        Guess((*base.active, effect.name), problem.put(base.theta, effect.name, numbers), x0)
         for effect in problem.effects
         if effect.name not in (*base.active, *without)
         for numbers in effect.guesses(span)
+        for x0 in problem.beginnings([effect.name], base.x0)
     ]
 
 

@@ -27,6 +27,7 @@ from pgrssnn_jax.discovery.select import Selection, counting, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
+from pgrssnn_jax.discovery.spectrum import spectral_line
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
@@ -156,8 +157,10 @@ def _criteria(how: Scoring, chosen: DiscoverySettings) -> Criteria:
 
 def _unexplained(named: Named, setup: Setup, criteria: Criteria) -> bool:
     """Is there an elaborate effect to look for, and are there errors for it to explain?"""
-    selection = named.selection
+    selection, how = named.selection, named.how
     left = selection.last.rms(selection.final) > criteria.above * selection.floor
+    if not how.segmented:  # a line is seen well before it adds a tenth to the errors
+        left = left or spectral_line(selection.final.estimate.error, how.uncut.u) is not None
     return left and len(setup.first_effects) < len(setup.effects)
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.spectrum import spectral_line
 from pgrssnn_jax.effects.base import SignalRange
 
 _FEW = 2  # guesses per device, up to which a program of few lanes is the faster one
@@ -109,15 +110,21 @@ def free_places(problem: Problem, guesses: Sequence[Guess], settings: Settings) 
 
 def evaluate(problem: Problem, signals: Signals, guess: Guess) -> Estimate:
     y, _ = simulate(problem, signals.u, guess.theta[None], guess.x0[None])
-    error = np.where(signals.weight > 0, signals.weight * (signals.y - y[0]), 0.0)
-    return Estimate(guess.active, guess.theta, guess.x0, error)
+    return Estimate(guess.active, guess.theta, guess.x0, _error(signals, y[0]))
+
+
+def _error(signals: Signals, y: np.ndarray) -> np.ndarray:
+    """Weighted, 0 where nothing was measured."""
+    return np.where(signals.weight > 0, signals.weight * (signals.y - y), 0.0)
 
 
 def signal_range_of(problem: Problem, signals: Signals, guess: Guess) -> SignalRange:
-    """What the states, inputs and outputs span in the free run of a guess."""
+    """What the states, inputs and outputs span in the free run of a guess, and the line of its errors."""
     y, x = simulate(problem, signals.u, guess.theta[None], guess.x0[None])
 
     def span(a: np.ndarray) -> np.ndarray:
         return np.stack([a.min((0, 1)), a.max((0, 1))])
 
-    return SignalRange(span(x[0]), span(signals.u), span(y[0]))
+    line = spectral_line(_error(signals, y[0]), signals.u)
+    lines = (1.0 / (line.period * problem.physics.dt),) if line else ()
+    return SignalRange(span(x[0]), span(signals.u), span(y[0]), lines)

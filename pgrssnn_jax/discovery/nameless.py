@@ -17,7 +17,7 @@ from pgrssnn_jax.discovery.problem import carried
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
-from pgrssnn_jax.discovery.unknown import Line, spectral_line
+from pgrssnn_jax.discovery.spectrum import Line, spectral_line
 
 
 class Nameless(NamedTuple):
@@ -46,7 +46,7 @@ def look_beyond(
         return Nameless(beside, alone, None, None)
     problem, signals = corrections.problem, how.uncut
     driven = errors_follow(problem, signals, final.estimate, rng)
-    return Nameless(beside, alone, spectral_line(signals, final.estimate.error, problem.physics.dt), driven)
+    return Nameless(beside, alone, spectral_line(final.estimate.error, signals.u), driven)
 
 
 def _on_segments(corrections: Corrections, how: Scoring, selection: Selection, criteria: Criteria) -> Screening:

@@ -1,6 +1,6 @@
 """What cannot be explained: the size of the noise, and errors that look like those seen but mean nothing.
 
-    floor² = mean (e_{t+1} - 2 e_t + e_{t-1})² / 6        white noise; what varies slowly cancels
+    floor² = mean (e_{t+1} - 2 e_t + e_{t-1})² / 6        white noise; what varies slowly cancels, a line is taken out
     surrogate = A(z)⁻¹ s_t A(z) e_t,  s_t = ±1        colour and size kept, where they occur; meaning lost
 Source of the second: wild bootstrap, Wu, Annals of Statistics 14, 1986.
 """
@@ -8,6 +8,8 @@ Source of the second: wild bootstrap, Wu, Annals of Statistics 14, 1986.
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float
+
+from pgrssnn_jax.discovery.spectrum import without_line
 
 ORDER = 4  # of A: AR(4) follows white, AR(1) and low-pass filtered noise and the poles of second-order systems
 _STABLE = 0.999  # largest modulus of a pole of 1 / A
@@ -18,7 +20,9 @@ def noise_floor(error: Float[np.ndarray, "seq time y"], weight: Float[np.ndarray
     """Σ (w e)² of white noise of the size seen between neighbouring measured samples; never above that of `error`."""
     total = 0.0
     for j in range(error.shape[2]):
-        measured = [sequence[counts] for sequence, counts in zip(error[..., j], weight[..., j] > 0, strict=True)]
+        there = weight[..., j] > 0
+        still = without_line(error[..., j], there)
+        measured = [sequence[counts] for sequence, counts in zip(still, there, strict=True)]
         squares = np.sort(np.concatenate([np.diff(one, 2) for one in measured]) ** 2)
         kept = squares[: max(1, int(len(squares) * (1.0 - _TRIM)))]
         # the mean of a squared normal deviate without its largest 2 % is 0.87

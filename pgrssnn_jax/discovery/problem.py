@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.acceleration.scalars import Program, written_out
-from pgrssnn_jax.effects.base import Effect, WithEffects, add, effects_of, own_of
+from pgrssnn_jax.effects.base import Effect, SignalRange, WithEffects, add, effects_of, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.records.record import Record
@@ -111,6 +111,22 @@ class Problem:
 
     def effect(self, name: str) -> Effect:
         return next(effect for effect in self.effects if effect.name == name)
+
+    def beginnings(self, effects: Sequence[str], x0: np.ndarray) -> list[Float[np.ndarray, "seq x"]]:
+        """x_0 with the states of effects that begin anew in every record at each of their guesses; x_0 itself where the
+        effects have none."""
+        guesses = {k: v for name in effects for k, v in self.effect(name).memory_guesses.items()}
+        found = [x0.copy() for _ in range(max(map(len, guesses.values()), default=1))]
+        for i, state in enumerate(self.full.states):
+            for k, begun in enumerate(found):
+                if state.name in guesses:
+                    begun[:, i] = guesses[state.name][k % len(guesses[state.name])]
+        return found
+
+    def credible(self, effect: str, theta: np.ndarray, span: SignalRange) -> bool:
+        """Are the numbers of an effect, beside the range of the data?"""
+        rule = self.effect(effect).credible
+        return rule is None or rule(self.params(theta).effects[effect], span)
 
     def params(self, theta: np.ndarray) -> Any:
         """θ as params of `full`, in NumPy."""

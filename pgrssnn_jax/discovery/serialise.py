@@ -163,8 +163,9 @@ def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
     line = found.nameless.line
     if line is None:
         return None
-    unit = setup.estimation.info.outputs[line.output].unit
-    return {"period_s": line.period_s, "amplitude": line.amplitude, "unit": unit, "share": line.share}
+    unit, weight = setup.estimation.info.outputs[line.output].unit, found.signals.weight[..., line.output].max()
+    period = line.period * found.problem.physics.dt
+    return {"period_s": period, "amplitude": line.amplitude / float(weight), "unit": unit, "share": line.share}
 
 
 def disagreement(found: Discovery) -> list[dict[str, Any]]:

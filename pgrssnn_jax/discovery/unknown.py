@@ -1,8 +1,7 @@
 """What is missing but has no name: which equation, by which signal, and the shortest formula that says so.
 
 A flexible correction is fitted by free run for every equation and signal (`flexible.py`); the curve of the best one is
-then written as a sum of few terms, and the formula is put in the curve's place and simulated again. A hidden periodic
-disturbance is a line in the spectrum of the errors that the input does not have.
+then written as a sum of few terms, and the formula is put in the curve's place and simulated again.
 """
 
 from typing import NamedTuple
@@ -17,10 +16,6 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.physics.base import Physics
 
 _ENOUGH = 0.97  # of the curve's weighted variance that a formula must explain
-_LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
-_LINE_SHARE = 0.1  # of the energy of the errors
-_NEIGHBOURS = 25  # bins on either side, at most
-_PERIODS = 16  # in the record, at least: of fewer, slow errors and a line look alike
 
 
 class Formula(NamedTuple):
@@ -32,15 +27,6 @@ class Formula(NamedTuple):
     by: str
     curve: Float[np.ndarray, "2 knots"]
     closed: float
-
-
-class Line(NamedTuple):
-    """A sinusoid in the errors: period in s, amplitude in the output's unit, share of the error energy."""
-
-    period_s: float
-    amplitude: float
-    share: float
-    output: int
 
 
 def formula(
@@ -131,29 +117,3 @@ def _library(at: np.ndarray, name: str) -> list[tuple[str, np.ndarray]]:
         terms.append((f"max({name} - {bend:.3g}, 0)", np.maximum(at - bend, 0.0)))
         terms.append((f"max({bend:.3g} - {name}, 0)", np.maximum(bend - at, 0.0)))
     return terms
-
-
-def spectral_line(signals: Signals, error: Float[np.ndarray, "seq time y"], dt: float) -> Line | None:
-    """The strongest line in the errors that stands out of its neighbourhood and is not one of the input."""
-    time = error.shape[1]
-    if time < 4 * _NEIGHBOURS:
-        return None
-    window = np.hanning(time)[None, :, None]
-    power = (np.abs(np.fft.rfft(error * window, axis=1)) ** 2).sum(0)
-    driven = (np.abs(np.fft.rfft((signals.u - signals.u.mean(1, keepdims=True)) * window, axis=1)) ** 2).sum((0, 2))
-    found: list[Line] = []
-    for j in range(error.shape[2]):
-        k = int(np.argmax(power[_PERIODS:-2, j])) + _PERIODS
-        share = float(power[k - 2 : k + 3, j].sum() / power[1:, j].sum())
-        alone = power[k, j] > _LINE * _surroundings(power[:, j], k)
-        if alone and share > _LINE_SHARE and driven[k] < _LINE * _surroundings(driven, k):
-            scale = float(np.max(signals.weight[..., j]))
-            amplitude = float(np.sqrt(2.0 * share * (error[..., j] ** 2).mean())) / scale
-            found.append(Line(time * dt / k, amplitude, share, j))
-    return max(found, key=lambda line: line.share, default=None)
-
-
-def _surroundings(power: np.ndarray, k: int) -> float:
-    """Median of the neighbourhood of a bin, at most an octave down and up, without the line itself."""
-    low, high = max(k // 2, k - _NEIGHBOURS), min(2 * k, k + _NEIGHBOURS)
-    return float(np.median(np.r_[power[low : k - 3], power[k + 4 : high + 1]]))

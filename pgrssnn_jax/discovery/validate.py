@@ -1,15 +1,16 @@
 """The test record, touched once, after everything has been decided.
 
 Every model (nominal, recalibrated, with the effects) is simulated from its start: that of the estimation record where
-both share it, else one fitted to the first n_init samples of the test record, which then do not count. Intervals come
-from a block bootstrap whose blocks are longer than the errors remember.
+both share it, else one fitted to the first n_init samples of the test record, which then do not count. The phase of a
+periodic disturbance is shared by no records, and always fitted. Intervals come from a block bootstrap whose blocks are
+longer than the errors remember.
 """
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.least_squares import simulate
@@ -21,6 +22,7 @@ from pgrssnn_jax.training import metrics
 
 _RESAMPLED = 400
 _SHORTEST, _LEAST_BLOCKS = 16, 8  # samples of a block at least, and blocks of a sequence
+_HELD = 1e30  # precision of a start that a fit leaves as it is, in any unit of a state
 
 
 class Metric(NamedTuple):
@@ -74,15 +76,16 @@ def train_validations(
 def validations_on_test(
     problem: Problem, setup: Setup, guesses: Sequence[Guess], without: Mapping[str, Guess], settings: Settings
 ) -> Validations:
-    metric = _metric(setup.test, 0 if setup.start is not Start.UNKNOWN else setup.settings.n_init)
+    n_init = min(setup.settings.n_init, setup.test.u.shape[1] - 1)
+    fitted = setup.start is Start.UNKNOWN or any(_begins_anew(problem, guess).any() for guess in guesses)
+    metric = _metric(setup.test, n_init if fitted else 0)
 
     def start(guess: Guess) -> Float[np.ndarray, "seq x"]:
-        count = (len(setup.test.u), guess.x0.shape[1])
-        if setup.start is Start.AT_REST:
-            return np.zeros(count)
-        if setup.start is Start.SHARED:
-            return np.broadcast_to(guess.x0[:1], count)
-        return _fitted_start(problem, setup.test, guess, metric.n_init, settings)
+        count, anew = (len(setup.test.u), guess.x0.shape[1]), _begins_anew(problem, guess)
+        known = np.zeros(count) if setup.start is Start.AT_REST else np.broadcast_to(guess.x0[:1], count)
+        if setup.start is Start.UNKNOWN:
+            return _fitted_start(problem, setup.test, guess, n_init, settings)
+        return _fitted_start(problem, setup.test, guess, n_init, settings, known, ~anew) if anew.any() else known
 
     alone = {name: _simulated(problem, setup.test, guess, start(guess)) for name, guess in without.items()}
     errors = {name: metric.of(setup.test, y) for name, (y, _) in alone.items()}
@@ -120,18 +123,32 @@ def _simulated(
     return y[0], x[0]
 
 
+def _begins_anew(problem: Problem, guess: Guess) -> Bool[np.ndarray, " x"]:
+    """States whose start no two records share."""
+    names = {name for effect in guess.active for name in problem.effect(effect).memory_guesses}
+    return np.array([state.name in names for state in problem.full.states])
+
+
 def _fitted_start(
-    problem: Problem, record: Record, guess: Guess, n_init: int, settings: Settings
+    problem: Problem,
+    record: Record,
+    guess: Guess,
+    n_init: int,
+    settings: Settings,
+    known: Float[np.ndarray, "seq x"] | None = None,
+    held: Bool[np.ndarray, " x"] | None = None,
 ) -> Float[np.ndarray, "seq x"]:
-    """x_0 of every sequence from its first n_init samples, with θ as it is."""
+    """x_0 of every sequence from its first n_init samples, with θ as it is; known: of the states that are held."""
     u, y, mask = (np.asarray(a)[:, :n_init] for a in (record.u, record.y, record.mask))
     u, y = u.astype(np.float64), y.astype(np.float64)
     spread = np.nanstd(np.where(record.mask, record.y, np.nan), axis=(0, 1))
     weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
-    start = start_guess(problem.full, u, y, mask)
-    signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, np.zeros(start.shape))
-    ((fitted, _),) = fit_all(problem, signals, [guess._replace(x0=start)], settings, only_start=True)
-    return fitted.x0
+    start = start_guess(problem.full, u, y, mask) if known is None else known
+    precision = np.broadcast_to(0.0 if held is None else np.where(held, _HELD, 0.0), start.shape)
+    signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, precision)
+    guesses = [guess._replace(x0=x0) for x0 in problem.beginnings(guess.active, start)]
+    fits = fit_all(problem, signals, guesses, settings, only_start=True)
+    return min(fits, key=lambda fit: fit[1])[0].x0
 
 
 def _interval(drawn: Float[np.ndarray, " draw"]) -> tuple[float, float]:

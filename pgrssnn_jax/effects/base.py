@@ -42,17 +42,17 @@ def effects_of(params: Any) -> Mapping[str, Mapping[str, Any]]:
 
 class SignalRange(NamedTuple):
     """Where the data take the system: lowest and highest value of every state, input and output in a simulation of the
-    physics that the effect is to be added to. Thresholds are looked for inside."""
+    physics that the effect is to be added to. Thresholds are looked for inside. lines: frequencies in Hz of lines in
+    the spectrum of the errors of that simulation."""
 
     x: Float[np.ndarray, "2 x"]
     u: Float[np.ndarray, "2 u"]
     y: Float[np.ndarray, "2 y"]
+    lines: tuple[float, ...] = ()
 
 
 class Needs(NamedTuple):
-    """Condition of an effect on its physics.
-
-    words: for people, after "expected"; met: the condition."""
+    """Condition of an effect on its physics. words: for people, after "expected"; met: the condition."""
 
     words: str
     met: Callable[[Physics], bool]
@@ -80,8 +80,9 @@ class Effect(NamedTuple):
     `guesses`; needs: which physics can take it; active: share of the samples in which it acts, from `(numbers, x, u)`
     with x `[time, x]`, u `[time, u]`, None where it always does; simpler: names of effects that are preferred to this
     one where they do as well; channels: the owner of one number of an array (`output`, `input`, `joint`; of a matrix
-    `output, input`); elaborate: an effect with many numbers or long computations, which discovery tries only where the
-    others leave errors above the noise, and which must predict better by three standard errors.
+    `output, input`); elaborate: many numbers or long computations, which discovery tries only where other effects leave
+    errors above the noise, and which must predict better by three standard errors; memory_guesses: where fits begin
+    with states that begin anew in every record, by their names; credible: are numbers, beside the range of the data?
     """
 
     name: str
@@ -98,6 +99,8 @@ class Effect(NamedTuple):
     simpler: tuple[str, ...] = ()
     channels: str = ""
     elaborate: bool = False
+    memory_guesses: Mapping[str, Sequence[float]] = {}
+    credible: Callable[[Numbers, SignalRange], bool] | None = None
 
     def neutral(self) -> dict[str, np.ndarray]:
         """Every number at the value at which the effect changes nothing.

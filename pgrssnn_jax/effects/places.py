@@ -30,12 +30,12 @@ def velocities(physics: Physics) -> list[Place]:
 
 
 def levels(physics: Physics) -> list[Place]:
-    """First-order states: no rates, no positions of velocities, no memory."""
+    """First-order states: no rates, no positions of velocities, no memory, nothing inner."""
     moving = {place.way for place in velocities(physics)}
     return [
         Place(i, ("x", i))
         for i, state in enumerate(physics.states)
-        if state.rate_of is None and state.memory_of is None and i not in moving
+        if state.rate_of is None and state.memory_of is None and not state.inner and i not in moving
     ]
 
 
@@ -53,7 +53,8 @@ def _velocity(physics: Physics, i: int) -> Place | None:
 
 def states_of(physics: Physics) -> Needs:
     """The states that places are counted in, in samples of the same length."""
-    names, dt = [state.name for state in physics.states if state.memory_of is None], physics.dt
+    own = [state for state in physics.states if state.memory_of is None and not state.inner]
+    names, dt = [state.name for state in own], physics.dt
     return Needs(
         f"the states {', '.join(names)} and dt={dt:g} s",
         lambda other: [state.name for state in other.states[: len(names)]] == names and other.dt == dt,

@@ -10,6 +10,7 @@ from pgrssnn_jax.effects.arm_common import points_of
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, add, effects_of, own_of
 from pgrssnn_jax.effects.generic import generic_effects
 from pgrssnn_jax.effects.lgssm import lgssm_effects
+from pgrssnn_jax.effects.periodic import periodic_effects
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.base import Physics
@@ -42,7 +43,8 @@ def catalogue(physics: Physics, without: Sequence[str] = (), extra: Sequence[Eff
             raise ValueError(f"effects: expected extra effects with names of their own, found another {effect.name!r}")
         _added(physics, effect)  # raises for what the physics cannot take
         if effect.initial_guesses is None:
-            effect.guesses(SignalRange(*[np.zeros((2, 1))] * 3))  # raises where none can be made up
+            none = np.zeros((2, 1))
+            effect.guesses(SignalRange(none, none, none))  # raises where none can be made up
         found.append(effect)
     return tuple(found)
 
@@ -60,7 +62,7 @@ def _of_system(physics: Physics) -> tuple[Effect, ...]:
     if system == "arm":  # its own effects say per joint what those of any system would
         return arm_effects(physics)
     own = {"tanks": tank_effects, "lgssm": lgssm_effects, "any": generic_effects}[system]
-    found = (*own(physics), *any_system_effects(physics))
+    found = (*own(physics), *any_system_effects(physics), *periodic_effects(physics))
     return tuple(effect for effect in found if effect.name not in _SAID_OTHERWISE.get(system, ()))
 
 

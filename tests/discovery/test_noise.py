@@ -27,6 +27,12 @@ def test_what_varies_slowly_is_no_noise():
     assert noise_floor(both, np.ones(both.shape)) == pytest.approx(0.01 * both.size, rel=0.05)
 
 
+@pytest.mark.parametrize("period", [5.0, 7.3, 30.0])
+def test_a_hum_is_no_noise(period):
+    hum = 2.0 * np.sin(2 * np.pi * np.arange(1500) / period)[None, :, None] * np.ones((2, 1, 2))
+    assert noise_floor(hum + white(0.1), np.ones(hum.shape)) == pytest.approx(0.01 * hum.size, rel=0.1)
+
+
 def test_rare_jumps_are_no_noise():
     error = white(0.1)
     error[:, ::200] += 2.0

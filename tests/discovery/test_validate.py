@@ -87,3 +87,24 @@ def test_the_test_record_is_simulated_from_what_is_known_of_its_start(problem, s
     low, high = said.improvement
     assert 0.5 < low < said.recalibrated.error - said.after.error < high < 0.9
     assert said.after.interval[0] < said.after.error < said.after.interval[1]
+
+
+@pytest.mark.parametrize("start", list(Start))
+@pytest.mark.parametrize("phase", [0.3, 2.5, 4.4])
+def test_no_record_shares_its_phase_with_another(start, phase):
+    physics = lgssm(A=[[0.9]], B=[[0.5]], C=[[1.0]], inputs=["u0"], outputs=["y0"])
+    name, numbers = "periodic_sensor_error", {"amplitude": [0.6], "frequency": 0.11}
+    problem = build_problem(physics, [e for e in catalogue(physics) if e.name == name])
+    guess = Guess((), problem.theta, np.array([[0.0, 0.0]]))
+    found = Guess((name,), problem.put(problem.theta, name, numbers), np.array([[0.0, 1.1]]))
+    record = plant(0.0, 0.0)
+    hum = 0.6 * np.sin(2 * np.pi * 0.11 * physics.dt * np.arange(1, 201) + phase)
+    record = record._replace(y=record.y + hum[None, :, None].astype(record.y.dtype))
+    setup = setup_of(problem, record, record, choices(n_init=30), start)
+    with jax.enable_x64(True):
+        said = validations_on_test(problem, setup, (guess, guess, found), {}, Settings(steps=10))
+    assert said.metric.n_init == 30, "the samples that its phase was fitted to do not count"
+    assert said.after.error == pytest.approx(0.1, rel=0.25)
+    assert said.recalibrated.error > 0.4
+    if start is not Start.UNKNOWN:
+        assert said.after.x[0, 0, 0] == said.recalibrated.x[0, 0, 0], "the state begins where it is known to"

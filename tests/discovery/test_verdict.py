@@ -12,7 +12,7 @@ from pgrssnn_jax.discovery.nameless import Nameless
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
-from pgrssnn_jax.discovery.unknown import Line
+from pgrssnn_jax.discovery.spectrum import Line
 from pgrssnn_jax.discovery.verdict import Judgement, Verdict, confirmed, judge
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks

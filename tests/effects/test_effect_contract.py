@@ -48,7 +48,7 @@ def effect(system: str, name: str) -> Effect:
 def signal_range_of(physics: Physics) -> SignalRange:
     draw = np.random.default_rng(0)
     sizes = [len(s) for s in (physics.states, physics.inputs, physics.outputs)]
-    return SignalRange(*(np.sort(draw.uniform(0.0, 5.0, (2, n)), 0) for n in sizes))
+    return SignalRange(*(np.sort(draw.uniform(0.0, 5.0, (2, n)), 0) for n in sizes), lines=(0.01,))
 
 
 NEVER_NEGATIVE = [

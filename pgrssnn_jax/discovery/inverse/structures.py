@@ -139,5 +139,5 @@ def wrapped(problem: Problem, theta: Float[np.ndarray, " p"]) -> Float[np.ndarra
 def span_of(samples: Samples) -> SignalRange:
     """Lowest and highest value of every signal."""
     state = np.concatenate([samples.reading, samples.v])
-    ends = [np.stack([one.min(1), one.max(1)]) for one in (state, samples.torque, samples.reading)]
-    return SignalRange(*ends)
+    x, u, y = (np.stack([one.min(1), one.max(1)]) for one in (state, samples.torque, samples.reading))
+    return SignalRange(x, u, y)
