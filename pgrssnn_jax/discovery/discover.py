@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.discovery.corrected import Corrected
-from pgrssnn_jax.discovery.estimate import Guess, evaluate
+from pgrssnn_jax.discovery.estimate import Guess, evaluate, signal_range_of
 from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
@@ -27,11 +27,11 @@ from pgrssnn_jax.discovery.select import Selection, counting, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
-from pgrssnn_jax.discovery.spectrum import spectral_line
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
 from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention
+from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.records.record import Record
 
 _LOCATED = 24  # sequences or segments whose correction is estimated
@@ -99,9 +99,10 @@ def discover_in(
     chosen, seconds, corrected = setup.settings, dict[str, float](), corrected or Corrected()
     with jax.enable_x64(True):
         named = _named(problem, setup, notify, seconds)
-        if _unexplained(named, setup, chosen.criteria):
-            notify("errors stay above the noise: elaborate effects are looked for too")
-            whole = corrected.with_catalogue(problem, setup.effects)
+        if further := _further(named, setup, chosen.criteria):
+            notify(f"errors stay above the noise: looking for {', '.join(effect.name for effect in further)} too")
+            wanted = [effect for effect in setup.effects if not effect.elaborate or effect in further]
+            whole = corrected.with_catalogue(problem, tuple(wanted))
             if not named.how.segmented or _elaborate_counts(named, whole, setup):
                 named = _named(whole, setup, notify, seconds)
         notify("locating: the correction that each equation would need")
@@ -155,13 +156,14 @@ def _criteria(how: Scoring, chosen: DiscoverySettings) -> Criteria:
     return chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
 
 
-def _unexplained(named: Named, setup: Setup, criteria: Criteria) -> bool:
-    """Is there an elaborate effect to look for, and are there errors for it to explain?"""
-    selection, how = named.selection, named.how
-    left = selection.last.rms(selection.final) > criteria.above * selection.floor
-    if not how.segmented:  # a line is seen well before it adds a tenth to the errors
-        left = left or spectral_line(selection.final.estimate.error, how.uncut.u) is not None
-    return left and len(setup.first_effects) < len(setup.effects)
+def _further(named: Named, setup: Setup, criteria: Criteria) -> list[Effect]:
+    """Elaborate effects whose fits have somewhere to begin, where there are errors for them to explain: more than the
+    noise, or a line, which is seen well before it adds a tenth to the errors."""
+    problem, selection = named.problem, named.selection
+    span = signal_range_of(problem, named.how.signals(problem), selection.last.base.estimate.guess)
+    if not span.lines and selection.last.rms(selection.final) <= criteria.above * selection.floor:
+        return []
+    return [effect for effect in setup.effects if effect.elaborate and effect.guesses(span)]
 
 
 def _elaborate_counts(named: Named, whole: Problem, setup: Setup) -> bool:
