@@ -120,7 +120,7 @@ def _draw(name: str, rng: np.random.Generator) -> dict[str, Any]:
         "input_saturation": lambda: {"u_top": Quantile(uniform(rng, 0.70, 0.88), "torque")},
         "input_dead_zone": lambda: {"u_dead": Quantile(uniform(rng, 0.06, 0.18), "torque")},
         "input_offset": lambda: {"u_offset": either_sign(rng, 0.4, 1.2)},
-        "input_delay": lambda: {"delay": round(uniform(rng, 0.6, 3.5) * SUB_STEPS) / SUB_STEPS},
+        "input_delay": lambda: {"delay": round(uniform(rng, 1.4, 3.5) * SUB_STEPS) / SUB_STEPS},
         "input_lag": lambda: {"lag": uniform(rng, 2.0, 8.0)},
         "sensor_offset": lambda: {"y_offset": either_sign(rng, 0.05, 0.3)},
         "sensor_saturation": lambda: _range(rng),

@@ -61,7 +61,7 @@ def _leak(rng: np.random.Generator, plant: Rig) -> dict[str, Any]:
 
 
 def _delay(rng: np.random.Generator, plant: Rig) -> dict[str, Any]:
-    return {"delay": round(uniform(rng, 0.6, 3.5) * SUB_STEPS) / SUB_STEPS}
+    return {"delay": round(uniform(rng, 1.4, 3.5) * SUB_STEPS) / SUB_STEPS}
 
 
 DRAWS: dict[str, Draw] = {

@@ -32,6 +32,7 @@ from pgrssnn_jax.effects.places import (
     Place,
     acted_on,
     largest,
+    largest_ways,
     levels,
     points_of,
     states_of,
@@ -228,7 +229,7 @@ def _effect(physics: Physics, law: Law, places: list[Place], channels: str) -> E
         return inner._replace(step=step)
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
-        v, q = largest(span, [("x", place.state) for place in places]), largest(span, [p.position for p in places])
+        v, q = largest(span, places), largest_ways(span, places, dt)
         scale = v ** law.scale[0] * q ** law.scale[1] / (1.0 if channels == VELOCITY else dt)
         return [{law.meaning.symbol: share * scale} for share in law.shares]
 
@@ -252,7 +253,7 @@ def _power_law(physics: Physics, places: list[Place]) -> Effect:
     effect = _effect(physics, _POWER_LAW, places, LEVEL)
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
-        x, share = largest(span, [place.position for place in places]), _POWER_LAW.shares[0] / physics.dt
+        x, share = largest(span, places), _POWER_LAW.shares[0] / physics.dt
         return [{"c": share * x ** (1.0 - n), "n": np.full(len(places), n)} for n in (0.5, 2.0)]
 
     return effect._replace(

@@ -1,4 +1,4 @@
-"""Dry friction of any velocity v, the rate of a position q.
+"""Dry friction of any velocity v, the rate of a position q, which may be no state.
 
     coulomb_friction    dv/dt = F - a sign(v)                               v = 0:  dv/dt = 0 where |F| < a
     stribeck_friction   dv/dt = F - (a + d exp(-(v / v_s)²)) sign(v)        v = 0:  dv/dt = 0 where |F| < a + d
@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, around_point
-from pgrssnn_jax.effects.places import VELOCITY, Place, acted_on, largest, points_of, states_of, unit_of
+from pgrssnn_jax.effects.places import VELOCITY, Place, acted_on, largest, largest_ways, points_of, states_of, unit_of
 from pgrssnn_jax.physics.base import Parameter, Physics
 
 _POSITIVE = (0.0, float("inf"))
@@ -78,19 +78,17 @@ _STRIBECK = Dry(
 
 
 def friction_effects(physics: Physics, places: list[Place]) -> tuple[Effect, ...]:
+    def scale(span: SignalRange) -> np.ndarray:
+        return largest(span, places) ** 2 / largest_ways(span, places, physics.dt)
+
     def coulomb(span: SignalRange) -> list[Numbers]:
-        return [{"a": share * _scale(span, places)} for share in _SHARES]
+        return [{"a": share * scale(span)} for share in _SHARES]
 
     def stribeck(span: SignalRange) -> list[Numbers]:
-        a, fastest = _SHARES[0] * _scale(span, places), largest(span, [("x", place.state) for place in places])
+        a, fastest = _SHARES[0] * scale(span), largest(span, places)
         return [{"a": a, "d": a, "v_s": share * fastest} for share in (0.03, 0.1, 0.3)]
 
     return _effect(physics, _COULOMB, places, coulomb), _effect(physics, _STRIBECK, places, stribeck)
-
-
-def _scale(span: SignalRange, places: list[Place]) -> np.ndarray:
-    v, q = largest(span, [("x", place.state) for place in places]), largest(span, [p.position for p in places])
-    return v**2 / q
 
 
 def _effect(

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point, with_memory
-from pgrssnn_jax.effects.places import VELOCITY, Place, acted_on, largest, points_of, states_of, unit_of
+from pgrssnn_jax.effects.places import VELOCITY, Place, acted_on, largest, largest_ways, points_of, states_of, unit_of
 from pgrssnn_jax.effects.sensors_actuators import memory_signals, remembered_inputs, unit_of_all
 from pgrssnn_jax.physics.base import Measure, Parameter, Physics, Signal, Step, extended, extension_of
 
@@ -107,7 +107,7 @@ def hysteresis(physics: Physics, places: list[Place]) -> Effect:
         )
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
-        v, q = largest(span, [("x", place.state) for place in places]), largest(span, [p.position for p in places])
+        v, q = largest(span, places), largest_ways(span, places, physics.dt)
         return [{"k": k * (v / q) ** 2, "s": s * q} for k in _STIFF for s in _YIELD]
 
     return Effect(

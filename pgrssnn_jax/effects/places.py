@@ -10,28 +10,34 @@ from pgrssnn_jax.physics.base import Physics, extension_of, measured_rate
 from pgrssnn_jax.physics.integrate import DerivativePoints
 
 VELOCITY, LEVEL = "velocity", "first-order state"  # what one number of an effect belongs to
+_SPEEDS = frozenset(
+    {"m/s", "mm/s", "cm/s", "km/h", "rad/s", "mrad/s", "deg/s", "°/s", "rev/s", "rpm", "1/min", "rev/min", "knots"}
+)
+_SAMPLES = 10  # a speed whose position is unknown takes its unit of length from the way in so many samples
 
 
 class Place(NamedTuple):
-    """state: index of the one that an effect acts on; position: kind (`x`, `y`) and index of what it is the rate of."""
+    """state: index of the one that an effect acts on; position: kind (`x`, `y`) and index of what it is the rate of,
+    None for a speed without one."""
 
     state: int
-    position: tuple[str, int]
+    position: tuple[str, int] | None
 
     @property
     def way(self) -> int | None:
         """Index of the position among the states."""
-        return self.position[1] if self.position[0] == "x" else None
+        return self.position[1] if self.position and self.position[0] == "x" else None
 
 
 def velocities(physics: Physics) -> list[Place]:
-    """A velocity is the rate of something that is no rate itself."""
+    """A velocity is the rate of something that is no rate itself, or has the unit of a speed (of a motor, say, whose
+    angle is no state)."""
     return [place for i in range(len(physics.states)) if (place := _velocity(physics, i))]
 
 
 def levels(physics: Physics) -> list[Place]:
     """First-order states: no rates, no positions of velocities, no memory, nothing inner."""
-    moving = {place.way for place in velocities(physics)}
+    moving = {i for place in velocities(physics) for i in (place.state, place.way)}
     return [
         Place(i, ("x", i))
         for i, state in enumerate(physics.states)
@@ -43,7 +49,9 @@ def _velocity(physics: Physics, i: int) -> Place | None:
     """The place of state i where it is a velocity: its position is the state of that name, or like that output."""
     state = physics.states[i]
     if state.rate_of is None:
-        return None
+        differentiated = any(other.rate_of in (state.name, state.like) for other in physics.states if other.rate_of)
+        own = state.memory_of is None and not state.inner and not differentiated
+        return Place(i, None) if own and state.unit in _SPEEDS else None
     measured = measured_rate(physics, state)
     for j, other in enumerate(physics.states):
         if other.name == state.rate_of or (measured is not None and other.like == measured):
@@ -80,8 +88,18 @@ def with_each(x: jax.Array, indices: list[int], values: Any) -> jax.Array:
     return x
 
 
-def largest(span: SignalRange, signals: list[tuple[str, int]]) -> np.ndarray:
-    """Largest absolute values in the data; 1 for a signal that is zero all the time."""
+def largest(span: SignalRange, places: list[Place]) -> np.ndarray:
+    """Largest absolute values of the states in the data; 1 for a state that is zero all the time."""
+    return _largest(span, [("x", place.state) for place in places])
+
+
+def largest_ways(span: SignalRange, places: list[Place], dt: float) -> np.ndarray:
+    """The same of what the states are rates of."""
+    found = _largest(span, [place.position or ("x", place.state) for place in places])
+    return found * np.array([1.0 if place.position else _SAMPLES * dt for place in places])
+
+
+def _largest(span: SignalRange, signals: list[tuple[str, int]]) -> np.ndarray:
     found = np.array([np.abs(getattr(span, kind)[:, i]).max() for kind, i in signals])
     return np.where(found > 0.0, found, 1.0)
 
@@ -90,7 +108,14 @@ def unit_of(unit: str, physics: Physics, places: list[Place]) -> str:
     """A unit in those of velocity {v} and position {q}; empty where it depends on units that nobody said or that
     differ."""
     signals = {"x": physics.states, "y": physics.outputs}
-    units = {(physics.states[i].unit, signals[kind][j].unit) for i, (kind, j) in places}
+
+    def way(place: Place) -> str:
+        v = physics.states[place.state].unit
+        if place.position is None:
+            return v.removesuffix("/s") if v.endswith("/s") else ""
+        return signals[place.position[0]][place.position[1]].unit
+
+    units = {(physics.states[place.state].unit, way(place)) for place in places}
     v, q = units.pop() if len(units) == 1 else ("", "")
     if ("{v}" in unit and not v) or ("{q}" in unit and not q):
         return ""
