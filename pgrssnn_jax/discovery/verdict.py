@@ -12,6 +12,8 @@ not_confirmed    effects were found on the estimation record, and the test recor
 from enum import StrEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening
 from pgrssnn_jax.discovery.nameless import Nameless
 from pgrssnn_jax.discovery.problem import Problem
@@ -66,14 +68,14 @@ def judge(
 
 
 def reading_convention(problem: Problem, model: Model) -> str | None:
-    """`input_delay` where it is one sample to within its 95 % interval: a logger that reads before the input acts, and
-    no effect."""
+    """`input_delay` where it is one sample to within its 95 % interval, of every input: a logger that reads before the
+    inputs act, and no effect."""
     name, physics = "input_delay", problem.physics
     if name not in model.estimate.active or physics.output_timing != "after_step":
         return None
-    (place,) = problem.of(name)
-    away, deviation = abs(model.estimate.theta[place] - physics.dt), model.deviation[place]
-    return name if away <= 2.0 * deviation < physics.dt else None
+    places = problem.of(name)
+    away, deviation = np.abs(model.estimate.theta[places] - physics.dt), model.deviation[places]
+    return name if np.all((away <= 2.0 * deviation) & (2.0 * deviation < physics.dt)) else None
 
 
 def confirmed(judgement: Judgement, improvement: tuple[float, float], relative_error: float) -> Judgement:

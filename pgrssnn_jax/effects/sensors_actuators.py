@@ -4,7 +4,7 @@
     input      u ← u + b        u ← g u        u ← min(max(u, low), high)        u ← sign(u) max(|u| - w, 0)
     memory     u ← u(t - d)     u ← z,  z_t = z_{t-1} + (1 - e^{-dt/τ}) (u_t - z_{t-1})
 
-One number per channel, in the channel's unit.
+One number per channel, in the channel's unit; delays and time constants in s.
 """
 
 from collections.abc import Callable, Sequence
@@ -185,13 +185,13 @@ def input_delay(physics: Physics) -> Effect:
         that shows in a position as damping."""
         kept = jnp.concatenate([u, past])
         samples = kept.reshape(LONGEST_DELAY + 1, n)
-        lags, delay = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype), p["delay"] / dt
+        lags, delay = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None], jnp.reshape(p["delay"], (1, n)) / dt
         whole = jnp.floor(delay)
         part, away = delay - whole, jnp.abs(lags - (whole + 1.0))
         bend = 3.0 * jnp.maximum(1.0 - away, 0.0) + jnp.clip(away - 2.0, -1.0, 0.0)  # -1, 2, -1
         weights = jnp.maximum(1.0 - jnp.abs(lags - delay), 0.0) + 0.5 * part * (1.0 - part) * bend
-        whole_gain = weights.sum()  # not 1 where the last of the three samples is forgotten
-        return (weights[:, None] * samples).sum(0) / whole_gain, kept[: LONGEST_DELAY * n]
+        whole_gain = weights.sum(0)  # not 1 where the last of the three samples is forgotten
+        return (weights * samples).sum(0) / whole_gain, kept[: LONGEST_DELAY * n]
 
     return Effect(
         "input_delay",
@@ -200,7 +200,9 @@ def input_delay(physics: Physics) -> Effect:
         cause="transport, communication or computation takes time",
         acts_on="input",
         parameters={"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
-        initial_guesses=lambda span: [{"delay": np.asarray(k * dt)} for k in (0.5, 1.5, 2.5, 3.5, 5.0)],
+        shapes={"delay": _of_inputs(n)},
+        channels="input" if n > 1 else "",
+        initial_guesses=lambda span: [{"delay": k * dt * one} for k, one in _late(n)],
         wrap=lambda inner: with_memory(
             inner, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance
         ),
@@ -208,8 +210,19 @@ def input_delay(physics: Physics) -> Effect:
     )
 
 
+def _of_inputs(n: int) -> tuple[int, ...]:
+    """The shape of one number per input; a number alone for a single input."""
+    return (n,) if n > 1 else ()
+
+
+def _late(n: int) -> list[tuple[float, np.ndarray]]:
+    """Samples by which fits begin late, and the inputs that are: all together, then each of several alone."""
+    alone = [(k, one) for one in np.eye(n) for k in (1.5, 3.5)] if n > 1 else []
+    return [(k, np.ones(_of_inputs(n))) for k in (0.5, 1.5, 2.5, 3.5, 5.0)] + alone
+
+
 def input_lag(physics: Physics) -> Effect:
-    dt, memory = physics.dt, memory_signals(physics, "lagged", 1)
+    n, dt, memory = len(physics.inputs), physics.dt, memory_signals(physics, "lagged", 1)
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         """What acts is the mean over the sample: its value at the end would be half a sample ahead."""
@@ -227,7 +240,9 @@ def input_lag(physics: Physics) -> Effect:
         cause="the actuator follows its command with a first-order lag",
         acts_on="input",
         parameters={"time_constant": Parameter("τ", "s", bounds=(0.0, 50.0 * dt), neutral=0.0)},
-        initial_guesses=lambda span: [{"time_constant": np.asarray(k * dt)} for k in (1.0, 3.0, 8.0)],
+        shapes={"time_constant": _of_inputs(n)},
+        channels="input" if n > 1 else "",
+        initial_guesses=lambda span: [{"time_constant": np.full(_of_inputs(n), k * dt)} for k in (1.0, 3.0, 8.0)],
         wrap=lambda inner: with_memory(inner, "input_lag", [s._replace(fit_initial=True) for s in memory], advance),
         needs=remembered_inputs(physics),
         simpler=("input_delay",),  # a lag below one sample is a delay

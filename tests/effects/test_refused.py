@@ -126,7 +126,7 @@ def test_effects_around_a_step_and_inside_it_come_in_any_order(outside):
         "payload": {"mass": 40.0, "distance": 0.3},
         "wrist_coupling": {"c45": 0.1, "c46": -0.2, "c56": 0.3},
         "input_offset": {"offset": np.linspace(-1.0, 1.0, 6)},
-        "input_delay": {"delay": 0.05},
+        "input_delay": {"delay": np.full(6, 0.05)},
         "sensor_gain": {"gain": np.linspace(0.8, 1.2, 6)},
         "home_offset": {"offset": np.linspace(-0.1, 0.1, 6)},
     }

@@ -11,6 +11,8 @@ from toys import TOY_PARAMS, quick_jit, toy_measure, toy_physics, toy_step
 import pgrssnn_jax as pg
 from pgrssnn_jax.effects.base import add
 from pgrssnn_jax.effects.sensors_actuators import LONGEST_DELAY, any_system_effects
+from pgrssnn_jax.physics.linear import lgssm
+from pgrssnn_jax.physics.simulate import free_run
 
 pytestmark = pytest.mark.usefixtures("x64")
 DT = 0.5
@@ -88,7 +90,7 @@ HELD = np.tile(U[0], LONGEST_DELAY)
 
 @pytest.mark.parametrize("samples", range(LONGEST_DELAY + 1))
 def test_a_delay_of_whole_samples_moves_the_input(samples):
-    found = outputs("input_delay", {"delay": samples * DT}, memory=HELD)
+    found = outputs("input_delay", {"delay": [samples * DT] * 2}, memory=HELD)
     np.testing.assert_allclose(found, plain(delayed(samples), U), rtol=1e-12, atol=1e-14)
 
 
@@ -96,10 +98,27 @@ def test_a_delay_of_whole_samples_moves_the_input(samples):
 @given(whole=st.integers(0, LONGEST_DELAY - 2), part=st.floats(0.0, 1.0))
 def test_a_delay_between_samples_is_read_from_a_parabola(whole, part):
     with jax.enable_x64(True):
-        found = outputs("input_delay", {"delay": (whole + part) * DT}, memory=HELD)
+        found = outputs("input_delay", {"delay": [(whole + part) * DT] * 2}, memory=HELD)
     straight = (1 - part) * delayed(whole) + part * delayed(whole + 1)
     bent = delayed(whole) - 2 * delayed(whole + 1) + delayed(whole + 2)
     np.testing.assert_allclose(found, plain(straight - part * (1 - part) / 2 * bent, U), rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize(("name", "number"), [("input_delay", "delay"), ("input_lag", "time_constant")])
+def test_every_input_has_a_delay_and_a_lag_of_its_own(name, number):
+    """Of two inputs whose sum is measured, each as if it were alone."""
+    two = lgssm(A=[[0.0]], B=[[1.0, 1.0]], C=[[1.0]], inputs=["a", "b"], dt=DT)
+    u = np.random.default_rng(3).standard_normal((1, 40, 2))
+
+    def answered(a: float, b: float, u: np.ndarray) -> np.ndarray:
+        physics = pg.add(two, name, **{number: [a, b]})
+        return np.asarray(free_run(physics, u, np.zeros((1, len(physics.states))))[0])
+
+    alone = [answered(*late, u * only) for late, only in (((1.3 * DT, 0.0), [1.0, 0.0]), ((0.0, 2.6 * DT), [0.0, 1.0]))]
+    np.testing.assert_allclose(answered(1.3 * DT, 2.6 * DT, u), alone[0] + alone[1], atol=1e-12)
+    assert np.abs(alone[0] + alone[1] - answered(1.3 * DT, 1.3 * DT, u)).max() > 0.1
+    both = pg.add(two, name, **{number: 1.3 * DT})
+    np.testing.assert_array_equal(both.params.effects[name][number], [1.3 * DT, 1.3 * DT], "one number is that of all")
 
 
 @pytest.mark.parametrize("delay", [0.5, 1.3, 3.7])
@@ -138,7 +157,7 @@ def test_a_lag_is_the_mean_of_the_first_order_system_over_each_sample(samples):
             middles.append((z + after) / 2)
             z = after
         means.append(np.mean(middles, 0))
-    found = outputs("input_lag", {"time_constant": samples * DT}, memory=np.array([0.5, -1.0]))
+    found = outputs("input_lag", {"time_constant": [samples * DT] * 2}, memory=np.array([0.5, -1.0]))
     np.testing.assert_allclose(found, plain(np.array(means), U), rtol=1e-7, atol=1e-9)
 
 
