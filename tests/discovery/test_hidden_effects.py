@@ -67,7 +67,7 @@ def test_an_elaborate_effect_is_found_where_the_others_leave_errors(tanks):
     first = build_problem(problem.physics, setup.first_effects)
     found = discover_in(first, setup, said.append)
     assert found.selection.final.estimate.active == ("overflow_1to2",)
-    assert any("elaborate" in line for line in said)
+    assert any("looking for overflow_1to2 too" in line for line in said)
 
 
 A, B, C = np.array([[0.6, 0.7], [-0.1, 0.0]]), np.array([-1.1, 0.0]), np.array([0.9, -0.1])
