@@ -10,6 +10,8 @@ from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.locate import box, intervals
 from pgrssnn_jax.discovery.problem import Signals
 from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.effects.places import LEVEL, VELOCITY, levels, velocities
+from pgrssnn_jax.physics.base import Physics
 
 _INTERVALS = 50  # written, at most
 _MEANT = 2.0  # standard deviations by which a joint's number must differ from neutral to be named
@@ -30,6 +32,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
 
     said: dict[str, Any] = {
         **described(effect),
+        "channel_names": _channel_names(problem.physics, effect),
         "parameters": {
             key: {
                 "value": np.asarray(numbers[key]).tolist(),
@@ -90,6 +93,14 @@ def interval(value: Any, std: Any, freedom: float) -> list[Any]:
     """95 % interval, lowest and highest, of an estimate with so many degrees of freedom (Student's t)."""
     half = scipy.stats.t.ppf(0.975, freedom) * np.asarray(std)
     return [(np.asarray(value) - half).tolist(), (np.asarray(value) + half).tolist()]
+
+
+def _channel_names(physics: Physics, effect: Effect) -> list[str]:
+    """Signals that an effect has one number for each of; empty where it has not."""
+    states = {VELOCITY: velocities(physics), LEVEL: levels(physics)}.get(effect.channels, [])
+    signals = {"input": physics.inputs, "output": physics.outputs}.get(effect.channels, ())
+    names = [signal.name for signal in signals] or [physics.states[place.state].name for place in states]
+    return names if any(shape == (len(names),) for shape in effect.shapes.values()) else []
 
 
 def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.noise import autoregression, correlation_time
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -20,9 +22,16 @@ def sentence(
     """gap, effects, alternatives, departures: as in `discovery.json`; remaining: where the errors are that are left."""
     said = _verdict(found, gap, effects, alternatives)
     if found.judgement.verdict not in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED):
-        said += f" Remaining errors: {remaining}."
+        said += f" Remaining errors: {'everywhere alike' if remaining.startswith('everywhere') else remaining}."
+    ends = [f"{effect['name']}.{key}" for effect in effects for key, one in effect["parameters"].items() if _ends(one)]
+    said += f" At a bound: {', '.join(ends)}." if ends else ""
     moved = [f"{one['parameter']} {one['change']:+.0%} ({one['after']:.3g} {one['unit']})" for one in departures]
     return f"{said} Outside the prior of the physics: {', '.join(moved)}." if moved else said
+
+
+def _ends(parameter: Mapping[str, Any]) -> bool:
+    """Does any number of a parameter lie at a bound?"""
+    return bool(np.any(parameter["at_bound"]))
 
 
 def _verdict(
@@ -35,19 +44,22 @@ def _verdict(
     before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
     verdict = found.judgement.verdict
     errors = f"test {gap['metric']} {before:.3g}{unit} nominal, {fitted:.3g}{unit} recalibrated"
+    if found.convention is not None and not effects:
+        errors += f", {after:.3g}{unit} with outputs that are read before the inputs act, one sample earlier"
     if verdict is Verdict.NO_DISCREPANCY:
         return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
     if verdict is Verdict.MISCALIBRATED:
         return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
+    titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
     if verdict is Verdict.UNKNOWN_EFFECT:
-        return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}."
+        helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
+        return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}{helped}."
     if verdict is Verdict.UNEXPLAINED:
         return f"{_unexplained(found)}; {errors}."
-    titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
-    closed, share = f"{errors}, {after:.3g}{unit} with it", 100 * gap["closed_fraction"]
+    closed, share = f"{errors}, {after:.3g}{unit} with it", 100 * min(gap["closed_fraction"], 1.0)
     if verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
-    left = f"{share:.0f} % of the gap above the noise closed, {max(100 - share, 0):.0f} % open"
+    left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"
     if verdict is Verdict.AMBIGUOUS:
         others = ", ".join(sorted({other["name"] for other in alternatives}))
         return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."

@@ -174,7 +174,7 @@ def remarks(discovery: Discovery) -> list[str]:
 
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs. Those that were
-    taken out, zero without a deviation, are left out."""
+    taken out, zero without a deviation or at infinity, are left out."""
     rows = []
     for name, parameter in (effect.get("parameters") or {}).items():
         values = _array(parameter.get("value"))
@@ -186,7 +186,7 @@ def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
         rows += [
             Quantity(n, float(v), float(s), unit, b == 1.0)
             for n, v, s, b in zip(names, values.flat, stds, at_bound, strict=True)
-            if v or s or b == 1.0
+            if (v and np.isfinite(v)) or s or b == 1.0
         ]
     return rows
 
@@ -200,6 +200,8 @@ def _places(effect: Mapping[str, Any], shape: tuple[int, ...]) -> list[str]:
     joints, channels = effect.get("joints") or (), str(effect.get("channels") or "channel")
     if (len(joints),) == shape:
         return [f"joint {joint}" for joint in joints]
+    if (len(names := effect.get("channel_names") or ()),) == shape:
+        return [str(name) for name in names] if len(names) > 1 else [""]
     axes = channels.split(", ")
     of_axes = [*axes, *["channel"] * (len(shape) - len(axes))]
     return [", ".join(f"{of_axes[d]} {k + 1}" for d, k in enumerate(index)) for index in np.ndindex(shape)]

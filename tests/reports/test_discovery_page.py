@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,15 @@ def test_numbers_by_joint_name_their_joint():
     ]
     gain = {"parameters": {"g": {"value": [1.0, 2.0], "std": None, "symbol": "g"}}, "channels": "output"}
     assert [row.name for row in facts.quantities(gain)] == ["g, output 1", "g, output 2"]
+    named = gain | {"channel_names": ["level", "temperature"]}
+    assert [row.name for row in facts.quantities(named)] == ["g, level", "g, temperature"]
+
+
+def test_a_limit_that_is_not_there_is_no_quantity():
+    high = {"value": [0.9, math.inf], "std": [0.01, 0.0], "symbol": "y_max"}
+    low = {"value": [None, None], "std": [0.0, 0.0], "symbol": "y_min"}
+    effect = {"parameters": {"high": high, "low": low}, "channels": "output"}
+    assert [(row.name, row.value) for row in facts.quantities(effect)] == [("y_max, output 1", 0.9)]
 
 
 ONE = [[1.0, 0.0], [0.0, 1.0]]
