@@ -2,7 +2,7 @@
 the best of them to the end, and the null distribution of the largest gain."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -156,7 +156,7 @@ def _fitted(
 def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Settings, criteria: Criteria) -> Model:
     fresh = base._replace(x0=signals.start)
     own = problem.of(None)
-    nominal = fresh._replace(theta=_with(base.theta, own, problem.theta[own]))
+    nominal = fresh._replace(theta=moved(base.theta, own, problem.theta[own]))
     best = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])[0]
     (model,) = fitted_models(problem, signals, [best], settings, criteria.block)
     return model
@@ -238,7 +238,8 @@ def count_of_numbers(problem: Problem, guess: Guess) -> int:
     return int(np.isfinite(guess.theta[problem.of(guess.active[-1])]).sum())
 
 
-def _with(theta: np.ndarray, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+def moved(theta: np.ndarray, places: Any, values: Any) -> np.ndarray:
+    """θ with other numbers at some places."""
     theta = theta.copy()
     theta[places] = values
     return theta

@@ -16,7 +16,6 @@ from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.estimate import Guess, evaluate, signal_range_of
 from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.limits import without_idle_limits
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.nonparametric import Corrections
@@ -148,8 +147,6 @@ def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], second
     with _timed(seconds, "name"):
         screened = remembered(how.screen(problem, chosen.without, criteria), notify)
         selection = select(problem, begun, criteria, screened)
-        if not how.segmented:
-            selection = without_idle_limits(problem, how.signals(problem), selection, how.settings, criteria)
     with _timed(seconds, "numbers"):
         selection = how.finish(problem, selection)
     return Named(problem, how, known, nominal, selection)

@@ -6,8 +6,8 @@ edge of the record a limit fits as well as none; beyond it, on new data, it does
 
 import numpy as np
 
-from pgrssnn_jax.discovery.candidates import Model, fitted_models
-from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
+from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
+from pgrssnn_jax.discovery.estimate import Settings, fit_all
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
@@ -18,7 +18,9 @@ def without_idle_limits(
 ) -> Selection:
     """Limits that do not predict left-out blocks better by `certain` standard errors, taken away one by one."""
     model = selection.final
-    while rivals := [_released(model, place, problem) for place in _spare(problem, model)]:
+    while places := _spare(problem, model):
+        guess = model.estimate.guess
+        rivals = [guess._replace(theta=moved(guess.theta, place, problem.theta[place])) for place in places]
         fitted = [guess for guess, _ in fit_all(problem, signals, rivals, settings)]
         best = max(fitted_models(problem, signals, fitted, settings, criteria.block), key=lambda one: one.score)
         better, error = model.better_than(best)
@@ -36,10 +38,3 @@ def _spare(problem: Problem, model: Model) -> list[int]:
         there = places[np.isinf(problem.theta[places]) & np.isfinite(model.estimate.theta[places])]
         found += there.tolist() if len(there) > 1 else []
     return found
-
-
-def _released(model: Model, place: int, problem: Problem) -> Guess:
-    guess = model.estimate.guess
-    theta = guess.theta.copy()
-    theta[place] = problem.theta[place]
-    return guess._replace(theta=theta)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pgrssnn_jax.discovery.candidates import Model, Screening, fitted_models, score_candidates
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
+from pgrssnn_jax.discovery.limits import without_idle_limits
 from pgrssnn_jax.discovery.linear import score_linearised, segment_model, whole_runs
 from pgrssnn_jax.discovery.problem import Problem, Signals, weighted_signals
 from pgrssnn_jax.discovery.select import Selection
@@ -27,8 +28,8 @@ Screen = Callable[..., Screening]  # of a guess or a model
 
 class Scoring(NamedTuple):
     """segmented: on segments; signals: of a problem, while effects are looked for; uncut: sequences in which they are
-    looked for, in one piece; screen: of a problem, without the effects named; finish: the final numbers; fitted: the
-    model of a guess that is at its optimum."""
+    looked for, in one piece; screen: of a problem, without the effects named; finish: what a selection still needs
+    (idle limits go, segments are fitted anew); fitted: the model of a guess that is at its optimum."""
 
     segmented: bool
     settings: Settings
@@ -61,8 +62,10 @@ def _on_whole_records(
         (model,) = fitted_models(problem, signals(problem), [guess], settings, chosen.criteria.block)
         return model
 
-    whole = signals(problem)
-    return Scoring(False, settings, signals, whole, screen, lambda problem, selection: selection, fitted)
+    def finish(problem: Problem, selection: Selection) -> Selection:
+        return without_idle_limits(problem, signals(problem), selection, settings, chosen.criteria)
+
+    return Scoring(False, settings, signals, signals(problem), screen, finish, fitted)
 
 
 def _on_segments(

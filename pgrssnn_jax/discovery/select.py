@@ -7,7 +7,7 @@ the best score enters. Backward: every effect in turn is taken out; what does be
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers, moved
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.null import nats
 from pgrssnn_jax.discovery.problem import Problem
@@ -220,6 +220,5 @@ def _with_known(screening: Screening, beside: Screening) -> Screening:
 def without(problem: Problem, model: Model, name: str) -> Guess:
     """A guess without one effect, its numbers neutral."""
     guess = model.estimate.guess
-    theta = guess.theta.copy()
-    theta[problem.of(name)] = problem.theta[problem.of(name)]
+    theta = moved(guess.theta, problem.of(name), problem.theta[problem.of(name)])
     return Guess(tuple(n for n in guess.active if n != name), theta, guess.x0)

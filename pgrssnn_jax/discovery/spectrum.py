@@ -68,9 +68,10 @@ def _strongest(error: Float[np.ndarray, "seq time"]) -> Line | None:
 
 
 def _driven(u: Float[np.ndarray, "seq time u"], k: int) -> bool:
+    """Has any input a line in this bin?"""
     moved = u - u.mean(1, keepdims=True)
-    power = np.sum([_power(moved[..., j]) for j in range(u.shape[2])], axis=0)
-    return bool(power[k] >= _LINE * _surroundings(power, k))
+    powers = [_power(moved[..., j]) for j in range(u.shape[2]) if np.any(moved[..., j])]
+    return any(power[k] >= _LINE * _surroundings(power, k) for power in powers)
 
 
 def _power(signal: Float[np.ndarray, "seq time"]) -> Float[np.ndarray, " bin"]:

@@ -81,11 +81,10 @@ def validations_on_test(
     metric = _metric(setup.test, n_init if fitted else 0)
 
     def start(guess: Guess) -> Float[np.ndarray, "seq x"]:
-        count, anew = (len(setup.test.u), guess.x0.shape[1]), _begins_anew(problem, guess)
-        known = np.zeros(count) if setup.start is Start.AT_REST else np.broadcast_to(guess.x0[:1], count)
-        if setup.start is Start.UNKNOWN:
-            return _fitted_start(problem, setup.test, guess, n_init, settings)
-        return _fitted_start(problem, setup.test, guess, n_init, settings, known, ~anew) if anew.any() else known
+        given = {Start.UNKNOWN: np.nan, Start.AT_REST: 0.0, Start.SHARED: guess.x0[:1]}[setup.start]
+        known = np.broadcast_to(given, (len(setup.test.u), guess.x0.shape[1]))
+        known = np.where(_begins_anew(problem, guess), np.nan, known)
+        return _fitted_start(problem, setup.test, guess, n_init, settings, known) if np.isnan(known).any() else known
 
     alone = {name: _simulated(problem, setup.test, guess, start(guess)) for name, guess in without.items()}
     errors = {name: metric.of(setup.test, y) for name, (y, _) in alone.items()}
@@ -135,16 +134,16 @@ def _fitted_start(
     guess: Guess,
     n_init: int,
     settings: Settings,
-    known: Float[np.ndarray, "seq x"] | None = None,
-    held: Bool[np.ndarray, " x"] | None = None,
+    known: Float[np.ndarray, "seq x"],
 ) -> Float[np.ndarray, "seq x"]:
-    """x_0 of every sequence from its first n_init samples, with θ as it is; known: of the states that are held."""
+    """x_0 of every sequence from its first n_init samples, with θ as it is; known: x_0 of states whose start is known,
+    NaN of the others."""
     u, y, mask = (np.asarray(a)[:, :n_init] for a in (record.u, record.y, record.mask))
     u, y = u.astype(np.float64), y.astype(np.float64)
     spread = np.nanstd(np.where(record.mask, record.y, np.nan), axis=(0, 1))
     weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
-    start = start_guess(problem.full, u, y, mask) if known is None else known
-    precision = np.broadcast_to(0.0 if held is None else np.where(held, _HELD, 0.0), start.shape)
+    start = np.where(np.isnan(known), start_guess(problem.full, u, y, mask), known)
+    precision = np.where(np.isnan(known), 0.0, _HELD)
     signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, precision)
     guesses = [guess._replace(x0=x0) for x0 in problem.beginnings(guess.active, start)]
     fits = fit_all(problem, signals, guesses, settings, only_start=True)

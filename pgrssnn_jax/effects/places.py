@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from pgrssnn_jax.effects.base import Needs, SignalRange
-from pgrssnn_jax.physics.base import Physics, extension_of, measured_rate
+from pgrssnn_jax.physics.base import Physics, Signal, extension_of, measured_rate
 from pgrssnn_jax.physics.integrate import DerivativePoints
 
 VELOCITY, LEVEL = "velocity", "first-order state"  # what one number of an effect belongs to
@@ -17,8 +17,8 @@ _SAMPLES = 10  # a speed whose position is unknown takes its unit of length from
 
 
 class Place(NamedTuple):
-    """state: index of the one that an effect acts on; position: kind (`x`, `y`) and index of what it is the rate of,
-    None for a speed without one."""
+    """state: index of the state that an effect acts on; position: kind (`x` state, `y` output) and index of the signal
+    whose time derivative the state is, None for a speed without a position."""
 
     state: int
     position: tuple[str, int] | None
@@ -41,8 +41,13 @@ def levels(physics: Physics) -> list[Place]:
     return [
         Place(i, ("x", i))
         for i, state in enumerate(physics.states)
-        if state.rate_of is None and state.memory_of is None and not state.inner and i not in moving
+        if state.rate_of is None and _of_the_system(state) and i not in moving
     ]
+
+
+def _of_the_system(state: Signal) -> bool:
+    """Is it a state of the system, and no memory of an effect or covariance of a filter?"""
+    return state.memory_of is None and not state.inner
 
 
 def _velocity(physics: Physics, i: int) -> Place | None:
@@ -50,8 +55,8 @@ def _velocity(physics: Physics, i: int) -> Place | None:
     state = physics.states[i]
     if state.rate_of is None:
         differentiated = any(other.rate_of in (state.name, state.like) for other in physics.states if other.rate_of)
-        own = state.memory_of is None and not state.inner and not differentiated
-        return Place(i, None) if own and state.unit in _SPEEDS else None
+        speed = state.unit in _SPEEDS and _of_the_system(state) and not differentiated
+        return Place(i, None) if speed else None
     measured = measured_rate(physics, state)
     for j, other in enumerate(physics.states):
         if other.name == state.rate_of or (measured is not None and other.like == measured):
@@ -61,8 +66,7 @@ def _velocity(physics: Physics, i: int) -> Place | None:
 
 def states_of(physics: Physics) -> Needs:
     """The states that places are counted in, in samples of the same length."""
-    own = [state for state in physics.states if state.memory_of is None and not state.inner]
-    names, dt = [state.name for state in own], physics.dt
+    names, dt = [state.name for state in physics.states if _of_the_system(state)], physics.dt
     return Needs(
         f"the states {', '.join(names)} and dt={dt:g} s",
         lambda other: [state.name for state in other.states[: len(names)]] == names and other.dt == dt,
@@ -94,7 +98,7 @@ def largest(span: SignalRange, places: list[Place]) -> np.ndarray:
 
 
 def largest_ways(span: SignalRange, places: list[Place], dt: float) -> np.ndarray:
-    """The same of what the states are rates of."""
+    """Largest absolute values of the positions, or of the way of a speed without one in so many samples."""
     found = _largest(span, [place.position or ("x", place.state) for place in places])
     return found * np.array([1.0 if place.position else _SAMPLES * dt for place in places])
 

@@ -202,7 +202,7 @@ def input_delay(physics: Physics) -> Effect:
         parameters={"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
         shapes={"delay": _of_inputs(n)},
         channels="input" if n > 1 else "",
-        initial_guesses=lambda span: [{"delay": k * dt * one} for k, one in _late(n)],
+        initial_guesses=lambda span: [{"delay": dt * late} for late in _delays(n)],
         wrap=lambda inner: with_memory(
             inner, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance
         ),
@@ -215,10 +215,10 @@ def _of_inputs(n: int) -> tuple[int, ...]:
     return (n,) if n > 1 else ()
 
 
-def _late(n: int) -> list[tuple[float, np.ndarray]]:
-    """Samples by which fits begin late, and the inputs that are: all together, then each of several alone."""
-    alone = [(k, one) for one in np.eye(n) for k in (1.5, 3.5)] if n > 1 else []
-    return [(k, np.ones(_of_inputs(n))) for k in (0.5, 1.5, 2.5, 3.5, 5.0)] + alone
+def _delays(n: int) -> list[np.ndarray]:
+    """Delays in samples at which fits begin: of all inputs, then of each of several alone."""
+    alone = [k * one for one in np.eye(n) for k in (1.5, 3.5)] if n > 1 else []
+    return [np.full(_of_inputs(n), k) for k in (0.5, 1.5, 2.5, 3.5, 5.0)] + alone
 
 
 def input_lag(physics: Physics) -> Effect:

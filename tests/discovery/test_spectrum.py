@@ -52,6 +52,11 @@ def test_a_line_that_the_input_has_too_is_the_models_affair():
     assert line(error, u=2.0 * sine(15.0) + noise(4)) is None
 
 
+def test_a_line_of_a_small_input_counts_beside_a_large_one():
+    u = np.concatenate([1e-6 * (2.0 * sine(15.0) + noise(4)), 1e6 * noise(6)], axis=-1)
+    assert line(0.3 * sine(15.0) + noise(3), u=u) is None
+
+
 def test_a_record_too_short_for_a_neighbourhood_has_none():
     error = 0.3 * sine(5.0) + noise(3)
     assert line(error[:, :100], noise(99)[:, :100]) is not None
