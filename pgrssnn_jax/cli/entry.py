@@ -15,7 +15,15 @@ from hydra.types import RunMode
 
 from pgrssnn_jax.acceleration.devices import keep_compiled, use_all_cores
 from pgrssnn_jax.cli.config_store import register
-from pgrssnn_jax.cli.process import BAD_INPUT, INTERRUPTED, Interrupted, refusal, say, stop_signal
+from pgrssnn_jax.cli.process import (
+    BAD_INPUT,
+    INTERRUPTED,
+    Interrupted,
+    ended_without_memory,
+    refusal,
+    say,
+    stop_signal,
+)
 from pgrssnn_jax.training.run_lock import locked
 
 
@@ -73,7 +81,8 @@ def call(main: Callable[[], None]) -> None:
     main_thread = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main_thread else None  # also between jobs
     try:
-        main()
+        with ended_without_memory():
+            main()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except SystemExit as ended:

@@ -5,6 +5,7 @@ Standard library alone.
 
 import errno
 import os
+import queue
 import signal
 import sys
 import threading
@@ -18,6 +19,7 @@ BAD_INPUT = 2
 INTERRUPTED = 130
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _NO_ENTRY = (errno.EACCES, errno.EPERM)
+_MEMORY_ENDED = "expected enough memory to go on, found none left; complete files stay"
 _NO_MEMORY = ("RESOURCE_EXHAUSTED", "Out of memory", "bad_alloc", "can't start new thread", os.strerror(errno.ENOMEM))
 
 
@@ -76,6 +78,34 @@ def _handled_by(handle: Callable[[int, FrameType | None], None]) -> Iterator[Non
             signal.signal(number, handler)
 
 
+@contextmanager
+def ended_without_memory() -> Iterator[None]:
+    """Inside, a thread that cannot begin for want of memory ends the process with `BAD_INPUT`.
+
+    CPython would wait for that thread for ever (python/cpython#140746). In the thread itself no Python function can be
+    called any more, so its error is put into a queue, by a function in C, and another thread, begun in time, ends the
+    process.
+    """
+    errors: queue.SimpleQueue[sys.UnraisableHookArgs | None] = queue.SimpleQueue()
+    sentence = f"error: {_MEMORY_ENDED}\n".encode()
+    previous = sys.unraisablehook
+
+    def watch() -> None:
+        while (error := errors.get()) is not None:
+            if error.exc_type is MemoryError:
+                os.write(2, sentence)
+                os._exit(BAD_INPUT)
+            previous(error)
+
+    threading.Thread(target=watch, daemon=True).start()
+    sys.unraisablehook = errors.put
+    try:
+        yield
+    finally:
+        sys.unraisablehook = previous
+        errors.put(None)
+
+
 def say(sentence: str) -> int:
     sys.stderr.write(f"error: {sentence}\n")
     return BAD_INPUT
@@ -93,7 +123,7 @@ def refusal(problem: BaseException, folder: Path) -> str | None:
         if reason := _unwritten(each, folder):
             return f"{folder}: expected a folder that can be written, found: {reason}; complete files stay"
     if any(isinstance(each, MemoryError) or any(words in str(each) for words in _NO_MEMORY) for each in chain):
-        return f"{folder}: expected enough memory to go on, found none left; complete files stay"
+        return f"{folder}: {_MEMORY_ENDED}"
     return None
 
 

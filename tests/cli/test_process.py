@@ -1,14 +1,31 @@
-"""Ctrl-C, on work that keeps nothing when it is stopped."""
+"""Ctrl-C, on work that keeps nothing when it is stopped, and threads that get no memory."""
 
 import contextlib
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
 import pytest
 
-from pgrssnn_jax.cli.process import Interrupted, ended_at_once, stop_signal
+from pgrssnn_jax.cli.process import Interrupted, ended_at_once, ended_without_memory, stop_signal
+
+NO_MORE_MEMORY = """
+import resource, threading
+from pgrssnn_jax.cli.process import ended_without_memory
+
+def begin_a_thread():
+    thread = threading.Thread(target=lambda: None)
+    thread.start()
+    thread.join()
+
+with ended_without_memory():
+    begin_a_thread()  # its stack is kept for the next one
+    resource.setrlimit(resource.RLIMIT_AS, (1 << 20, 1 << 20))
+    begin_a_thread()
+"""
 
 
 def interrupt(number: signal.Signals = signal.SIGINT) -> None:
@@ -70,3 +87,33 @@ def test_in_another_thread_signals_stay_as_they_are():
     thread.start()
     thread.join()
     assert seen == [signal.getsignal(signal.SIGINT)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits the memory of a process")
+def test_a_thread_that_gets_no_memory_ends_the_process_with_a_sentence():
+    ended = subprocess.run([sys.executable, "-c", NO_MORE_MEMORY], capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert ended.stderr == "error: expected enough memory to go on, found none left; complete files stay\n"
+
+
+def test_errors_of_finalizers_are_reported_as_before():
+    class Broken:
+        def __del__(self) -> None:
+            raise ValueError("a finalizer")
+
+    before, reported = sys.unraisablehook, threading.Event()
+    seen = []
+
+    def report(error) -> None:
+        seen.append(str(error.exc_value))
+        reported.set()
+
+    sys.unraisablehook = report
+    try:
+        with ended_without_memory():
+            Broken()
+            assert reported.wait(10)
+            assert seen == ["a finalizer"]
+        assert sys.unraisablehook is report
+    finally:
+        sys.unraisablehook = before
