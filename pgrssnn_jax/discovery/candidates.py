@@ -1,7 +1,8 @@
 """One screening of the whole catalogue beside a model: every effect fitted roughly from each of its starting values,
 the best of them to the end, and the null distribution of the largest gain."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from pgrssnn_jax.effects.base import SignalRange
 
 _ROUNDING = 1e-8  # of an energy: what matrices at their bounds leave; other effects leave 1e-6 at least
 _AT_EACH = 2  # starting values of an effect from which it is fitted
-_TO_THE_END = 3  # effects with the best scores that are fitted until nothing changes
+_TO_THE_END = 3  # effects with the best scores that are fitted until nothing changes; `settled` does so with all
 
 
 class Model(NamedTuple):
@@ -117,11 +118,7 @@ def score_candidates(
     run, *begun = runs(problem, signals, [here, *guesses], settings)
     at, _ = linearisation(problem, signals, here, run)
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
-    cost = base.estimate.cost + problem.penalty(here.theta)
-
-    def gain(low: float) -> float:
-        return float(nats(1.0 - low / cost, signals.size))
-
+    gain = partial(_gain, problem, signals, base)
     rough = fit_all(problem, signals, guesses, settings.roughly)
     rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active[-1], g.theta, span)]
     rough.sort(key=lambda found: found[1])
@@ -132,9 +129,8 @@ def score_candidates(
     found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]
     found = [c for c in found if problem.credible(c.name, c.guess.theta, span)]
     found += [c for c in few if c.name not in {other.name for other in found}]
-    found.sort(key=lambda c: (-c.score, -c.gain))
     noise = white_noise(signals, [base, *(model for model, _ in fitted)])
-    return Screening(base, tuple(found), null, visible(at, named), signals.size, noise)
+    return Screening(base, ranked(found), null, visible(at, named), signals.size, noise)
 
 
 def _fitted(
@@ -150,14 +146,54 @@ def _fitted(
     few = scored(_best_of_each(fit_all(problem, signals, finalists, settings.roughly)))
     few.sort(key=lambda one: -one[0].score)
     leading = [model.estimate.guess for model, _ in few[:_TO_THE_END]]
-    return scored(fit_all(problem, signals, leading, settings)) + few[_TO_THE_END:]
+    return scored(_to_the_end(problem, signals, leading, settings)) + few[_TO_THE_END:]
+
+
+def _to_the_end(
+    problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings
+) -> list[tuple[Guess, float]]:
+    """Each at its optimum, looked for from the nominal physics and start too: without an effect, other numbers bend
+    until they stand for it, and may not find back when it is there."""
+    ways = [way for guess in guesses for way in (guess, _nominal(problem, signals, guess))]
+    fits = fit_all(problem, signals, ways, settings)
+    return [min(pair, key=lambda found: found[1]) for pair in zip(fits[::2], fits[1::2], strict=True)]
+
+
+def _nominal(problem: Problem, signals: Signals, guess: Guess) -> Guess:
+    own = problem.of(None)
+    return guess._replace(theta=moved(guess.theta, own, problem.theta[own]), x0=signals.start)
+
+
+def settled(
+    problem: Problem, signals: Signals, screening: Screening, settings: Settings, criteria: Criteria
+) -> Screening:
+    """The screening with its finalists at their optimum: only there can it be told which of them predict alike."""
+    begun = [(c, c.model.estimate.guess) for c in screening.candidates if c.model]
+    span = signal_range_of(problem, signals, screening.base.estimate.guess)
+    fits = _to_the_end(problem, signals, [guess for _, guess in begun], settings)
+    models = fitted_models(problem, signals, [guess for guess, _ in fits], settings, criteria.block)
+    done = {
+        c.name: Candidate(c.name, _gain(problem, signals, screening.base, low), model.estimate.guess, model)
+        for (c, _), (_, low), model in zip(begun, fits, models, strict=True)
+        if problem.credible(c.name, model.estimate.theta, span)
+    }
+    return screening._replace(candidates=ranked([done.get(c.name, c) for c in screening.candidates]))
+
+
+def ranked(candidates: Iterable[Candidate]) -> tuple[Candidate, ...]:
+    """From best to worst."""
+    return tuple(sorted(candidates, key=lambda c: (-c.score, -c.gain)))
+
+
+def _gain(problem: Problem, signals: Signals, base: Model, low: float) -> float:
+    """Of log-likelihood over the base, of a fit with this cost."""
+    cost = base.estimate.cost + problem.penalty(base.estimate.theta)
+    return float(nats(1.0 - low / cost, signals.size))
 
 
 def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Settings, criteria: Criteria) -> Model:
-    fresh = base._replace(x0=signals.start)
-    own = problem.of(None)
-    nominal = fresh._replace(theta=moved(base.theta, own, problem.theta[own]))
-    best = min(fit_all(problem, signals, [base, fresh, nominal], settings), key=lambda found: found[1])[0]
+    begun = [base, base._replace(x0=signals.start), _nominal(problem, signals, base)]
+    best = min(fit_all(problem, signals, begun, settings), key=lambda found: found[1])[0]
     (model,) = fitted_models(problem, signals, [best], settings, criteria.block)
     return model
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.bounded import scaled_step, step_within
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, white_noise
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, ranked, white_noise
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
 from pgrssnn_jax.discovery.noise import surrogates
@@ -83,7 +83,7 @@ def score_linearised(
         ((fitted, reached),) = fit_all(problem, signals, [candidate.guess], settings)
         best, model = min(best, reached), segment_model(problem, signals, fitted, whole)
         found.append(Candidate(candidate.name, float(nats(1.0 - reached / cost, size)), fitted, model))
-    ordered = tuple(sorted(found, key=lambda c: (-c.score, -c.gain)))
+    ordered = ranked(found)
     tried = [base, *(c.model for c in ordered if c.model)]
     return Screening(base, ordered, null, {}, size, white_noise(signals, tried))
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, white_noise
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, ranked, white_noise
 from pgrssnn_jax.discovery.corrected import Corrected, numbers_of
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.flexible import families
@@ -59,13 +59,12 @@ def score_corrections(
     size = signals.size
     promised = {name: float(nats(fall, size)) for name, fall in zip(columns, falls, strict=True)}
     closed = {name: CURVED * _closed(base, size, fall) for name, fall in zip(columns, falls, strict=True)}
-    ranked = sorted(promised, key=lambda name: -promised[name])
-    hopeful = [n for n in ranked if null.p_value(n, promised[n]) <= criteria.hopeless and closed[n] >= least]
+    names = sorted(promised, key=lambda name: -promised[name])
+    hopeful = [n for n in names if null.p_value(n, promised[n]) <= criteria.hopeless and closed[n] >= least]
     fitted = [_fitted(corrections, base, name, responses[name], criteria.block) for name in hopeful[:_FINALISTS]]
-    rest = [Candidate(name, promised[name], guess) for name in ranked if name not in hopeful[:_FINALISTS]]
-    found = sorted([*fitted, *rest], key=lambda c: (-c.score, -c.gain))
+    rest = [Candidate(name, promised[name], guess) for name in names if name not in hopeful[:_FINALISTS]]
     models = [c.model for c in fitted if c.model]
-    return Screening(base, tuple(found), null, {}, size, white_noise(signals, [base, *models]))
+    return Screening(base, ranked([*fitted, *rest]), null, {}, size, white_noise(signals, [base, *models]))
 
 
 def _weighted(signals: Signals, response: Response) -> Float[np.ndarray, "n k"]:

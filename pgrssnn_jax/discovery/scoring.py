@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from pgrssnn_jax.discovery.candidates import Model, Screening, fitted_models, score_candidates
+from pgrssnn_jax.discovery.candidates import Model, Screening, fitted_models, score_candidates, settled
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.limits import without_idle_limits
 from pgrssnn_jax.discovery.linear import score_linearised, segment_model, whole_runs
@@ -29,7 +29,8 @@ Screen = Callable[..., Screening]  # of a guess or a model
 class Scoring(NamedTuple):
     """segmented: on segments; signals: of a problem, while effects are looked for; uncut: sequences in which they are
     looked for, in one piece; screen: of a problem, without the effects named; finish: what a selection still needs
-    (idle limits go, segments are fitted anew); fitted: the model of a guess that is at its optimum."""
+    (idle limits go, rivals are fitted to the end, segments are fitted anew); fitted: the model of a guess that is at
+    its optimum."""
 
     segmented: bool
     settings: Settings
@@ -63,7 +64,10 @@ def _on_whole_records(
         return model
 
     def finish(problem: Problem, selection: Selection) -> Selection:
-        return without_idle_limits(problem, signals(problem), selection, settings, chosen.criteria)
+        record, criteria = signals(problem), chosen.criteria
+        selection = without_idle_limits(problem, record, selection, settings, criteria)
+        done = {n: settled(problem, record, one, settings, criteria) for n, one in selection.screenings.items()}
+        return selection._replace(screenings=done)
 
     return Scoring(False, settings, signals, signals(problem), screen, finish, fitted)
 

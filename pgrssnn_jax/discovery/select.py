@@ -7,7 +7,7 @@ the best score enters. Backward: every effect in turn is taken out; what does be
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers, moved
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers, moved, ranked
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.null import nats
 from pgrssnn_jax.discovery.problem import Problem
@@ -214,7 +214,7 @@ def _with_known(screening: Screening, beside: Screening) -> Screening:
     gain = nats(1.0 - fitted.estimate.cost / screening.base.estimate.cost, screening.size)
     known = Candidate(name, float(gain), fitted.estimate.guess, fitted)
     others = [c for c in screening.candidates if c.name != name]
-    return screening._replace(candidates=tuple(sorted((known, *others), key=lambda c: (-c.score, -c.gain))))
+    return screening._replace(candidates=ranked([known, *others]))
 
 
 def without(problem: Problem, model: Model, name: str) -> Guess:

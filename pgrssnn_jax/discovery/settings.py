@@ -39,7 +39,7 @@ class Criteria(NamedTuple):
     nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed
     tied: float = 1.28  # standard errors by which a tenth of equals predict worse: within them effects are ambiguous
     most: int = 4  # effects
-    finalists: int = 12  # effects of a screening that are fitted to the end
+    finalists: int = 12  # effects of a screening that are compared after more steps
     hopeless: float = 0.2  # p-value after a few steps of a fit: if all are above, none is
     draws: int = 1000  # of the null
     block: int = 32  # samples that count as one in standard errors

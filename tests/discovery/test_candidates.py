@@ -5,9 +5,16 @@ import numpy as np
 import pytest
 from toys import small_record
 
-from pgrssnn_jax.discovery.candidates import Screening, score_candidates
+from pgrssnn_jax.discovery.candidates import (
+    Candidate,
+    Screening,
+    fitted_models,
+    moved,
+    score_candidates,
+    settled,
+)
 from pgrssnn_jax.discovery.estimate import Guess, Settings
-from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
@@ -22,17 +29,23 @@ def problem() -> Problem:
     return build_problem(physics, [e for e in catalogue(physics) if e.name in NAMES], fixed=["C"])
 
 
-def screened(problem: Problem, offset: float, seed: int = 0, without: tuple[str, ...] = ()) -> Screening:
+SETTINGS, CRITERIA = Settings(spare=3, lanes=3, steps=8), Criteria(draws=199, block=20)
+
+
+def recorded(problem: Problem, offset: float, seed: int = 0) -> Signals:
     draw = np.random.default_rng(seed)
     u, x, y = draw.standard_normal((SAMPLES, 1)), 0.0, []
     for (v,) in u:
         x = 0.8 * x + v
         y.append([x + offset + NOISE * draw.standard_normal()])
-    signals = weighted_signals(problem, small_record(u, np.array(y)), folds=3, block=20)
+    return weighted_signals(problem, small_record(u, np.array(y)), folds=3, block=20)
+
+
+def screened(problem: Problem, offset: float, seed: int = 0, without: tuple[str, ...] = ()) -> Screening:
+    signals = recorded(problem, offset, seed)
     start = Guess((), problem.theta, signals.start)
-    settings, criteria = Settings(spare=3, lanes=3, steps=8), Criteria(draws=199, block=20)
     with jax.enable_x64(True):
-        return score_candidates(problem, signals, start, settings, criteria, np.random.default_rng(1), without)
+        return score_candidates(problem, signals, start, SETTINGS, CRITERIA, np.random.default_rng(1), without)
 
 
 def test_the_hidden_effect_is_the_best_and_its_number_within_its_interval(problem):
@@ -68,3 +81,21 @@ def test_effects_may_be_left_out_of_a_screening(problem):
 
 def test_beside_everything_there_is_nothing_left_to_try(problem):
     assert screened(problem, 0.0, without=NAMES).candidates == ()
+
+
+def test_finalists_that_were_left_on_their_way_come_to_their_optimum(problem):
+    whole, signals = screened(problem, OFFSET), recorded(problem, OFFSET)
+
+    def on_its_way(candidate: Candidate) -> Candidate:
+        guess, places = candidate.guess, problem.of(candidate.name)
+        half = guess._replace(theta=moved(guess.theta, places, 0.5 * (guess.theta[places] + problem.theta[places])))
+        (model,) = fitted_models(problem, signals, [half], SETTINGS, CRITERIA.block)
+        return Candidate(candidate.name, -np.inf, half, model)
+
+    with jax.enable_x64(True):
+        begun = whole._replace(candidates=tuple(map(on_its_way, whole.candidates)))
+        done = settled(problem, signals, begun, SETTINGS, CRITERIA)
+    for after, expected in zip(done.candidates, whole.candidates, strict=True):
+        assert after.name == expected.name
+        assert after.gain == pytest.approx(expected.gain, rel=0.01, abs=1e-3)
+        assert after.score == pytest.approx(expected.score, abs=0.01)
