@@ -109,8 +109,8 @@ def score_candidates(
     rng: np.random.Generator,
     without: Sequence[str],
 ) -> Screening:
-    """base: a guess is fitted first, also from the nominal physics and start, because an effect that is taken out again
-    may have let them go."""
+    """base: a guess is fitted first. All fits begin at the nominal physics and start too: without an effect, the other
+    numbers bend until they stand for it, and may not find back when it is there."""
     if isinstance(base, Guess):
         base = _fitted_base(problem, signals, base, settings, criteria)
     here, span = base.estimate.guess, signal_range_of(problem, signals, base.estimate.guess)
@@ -119,6 +119,7 @@ def score_candidates(
     at, _ = linearisation(problem, signals, here, run)
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
     gain = partial(_gain, problem, signals, base)
+    guesses += _beside(problem, span, _nominal(problem, signals, here), without)
     rough = fit_all(problem, signals, guesses, settings.roughly)
     rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active[-1], g.theta, span)]
     rough.sort(key=lambda found: found[1])
@@ -152,8 +153,7 @@ def _fitted(
 def _to_the_end(
     problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings
 ) -> list[tuple[Guess, float]]:
-    """Each at its optimum, looked for from the nominal physics and start too: without an effect, other numbers bend
-    until they stand for it, and may not find back when it is there."""
+    """Each at its optimum, looked for from the nominal physics and start too."""
     ways = [way for guess in guesses for way in (guess, _nominal(problem, signals, guess))]
     fits = fit_all(problem, signals, ways, settings)
     return [min(pair, key=lambda found: found[1]) for pair in zip(fits[::2], fits[1::2], strict=True)]
