@@ -25,7 +25,7 @@ BACKENDS = [
 ]
 
 
-def free_runs(samples: int, backends: list[Any] = BACKENDS, *, gradients: bool = True) -> dict[str, Program]:
+def free_runs(samples: int, backends: list[Any], *, gradients: bool) -> dict[str, Program]:
     """Free runs of 60 sequences, forward and with the gradient with respect to torques."""
     programs = {}
     for backend, dtype in backends:

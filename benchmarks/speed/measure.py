@@ -66,7 +66,7 @@ def system_part(name: str, *, quick: bool, compare: bool) -> Figures:
 
 
 def arm_part(*, quick: bool, compare: bool) -> Figures:
-    """Forward dynamics, epochs of one member, a rollout, and Pinocchio's algorithm alone."""
+    """Forward dynamics by every backend, epochs of one member, a rollout, and Pinocchio's algorithm alone."""
     system = _smaller(SYSTEMS["arm"]) if quick else SYSTEMS["arm"]
     samples = system.train[1]
     forms = {"": (usual_route(np.float32), "native"), XLA: (None, "jax")}
@@ -78,8 +78,8 @@ def arm_part(*, quick: bool, compare: bool) -> Figures:
         for gradient in (("stopped",) if quick else ("stopped", "full"))  # compiling is most of a quick run
         for form, (route, _) in forms.items()
     }
-    backends = [("native", np.float32), ("jax", np.float32)]
-    for name, program in arm_dynamics.free_runs(samples, backends, gradients=False).items():
+    backends = arm_dynamics.BACKENDS[:2] if quick else arm_dynamics.BACKENDS
+    for name, program in arm_dynamics.free_runs(samples, backends, gradients=not quick).items():
         cases[f"evaluation, {name}"] = Case(program.call, arm_dynamics.evaluations(samples), program)
     alone = arm_dynamics.pinocchio_calls()
     for name, call in alone.items():

@@ -197,7 +197,7 @@ def test_the_published_networks_of_the_arm():
 
 @pytest.mark.slow
 def test_a_filter_takes_the_numbers_of_a_file_or_those_of_the_record(tmp_path):
-    small = [*SMALL, "data.n_samples=80", *TINY]
+    small = [*SMALL, "data.n_samples=80", "model=physics_only"]
     ways = {"stored": ["+experiment=robot_real_filter"], "record": ["+experiment=robot_real", "physics.form=filter"]}
     numbers = {}
     for name, way in ways.items():
