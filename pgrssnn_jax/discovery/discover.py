@@ -17,7 +17,7 @@ from pgrssnn_jax.discovery.estimate import Guess, evaluate, signal_range_of
 from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
-from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.noise import longest_memory, noise_floor
 from pgrssnn_jax.discovery.nonparametric import Corrections
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
@@ -193,8 +193,9 @@ def _validated(named: Named, numbers: Numbers, setup: Setup) -> tuple[Record, Va
     problem, how = named.problem, named.how
     guesses = (named.nominal, numbers.recalibrated.estimate.guess, numbers.final.estimate.guess)
     whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
+    memory = longest_memory(numbers.final.estimate.error)
     train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
-    return whole, train, validations_on_test(problem, setup, guesses, numbers.without, how.settings)
+    return whole, train, validations_on_test(problem, setup, guesses, numbers.without, how.settings, memory)
 
 
 def _told(corrections: Corrections, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:

@@ -71,3 +71,8 @@ def correlation_time(filters: Float[np.ndarray, " lag"]) -> float:
     """Σ_k ρ_k of an autoregression, in samples, 1 for white noise: so many samples tell as much as one."""
     response = np.asarray(scipy.signal.lfilter([1.0], filters, np.eye(1, 4096)[0]))
     return float(max(response.sum() ** 2 / (response**2).sum(), 1.0))
+
+
+def longest_memory(error: Float[np.ndarray, "seq time y"]) -> float:
+    """Correlation time of the output whose errors remember longest, in samples."""
+    return max(correlation_time(autoregression(error[..., j])) for j in range(error.shape[-1]))

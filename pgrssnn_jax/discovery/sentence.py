@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pgrssnn_jax.discovery.discover import Discovery
-from pgrssnn_jax.discovery.noise import autoregression, correlation_time
+from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.verdict import Verdict
 
 
@@ -70,7 +70,7 @@ def _unexplained(found: Discovery) -> str:
     selection = found.selection
     ratio = selection.last.rms() / selection.floor if selection.floor > 0 else math.inf
     error = selection.final.estimate.error
-    memory = max(correlation_time(autoregression(error[..., j])) for j in range(error.shape[-1]))
+    memory = longest_memory(error)
     return (
         f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for them: noise with a memory of "
         f"{memory:.0f} samples, or an unmeasured disturbance"

@@ -1,8 +1,9 @@
 """The test record, touched once, after everything has been decided.
 
 Every model (nominal, recalibrated, with the effects) is simulated from its start: that of the estimation record where
-both share it, else one fitted to the first n_init samples of the test record, which then do not count. The phase of a
-periodic disturbance is shared by no records, and always fitted. Intervals come from a block bootstrap whose blocks are
+both share it, else one fitted to the first n_init samples of the test record, which then do not count (more where the
+error of that start would outweigh the noise: `starts.py`). The phase of a periodic disturbance is shared by no records,
+and always fitted. Intervals come from a block bootstrap whose blocks are
 longer than the errors remember.
 """
 
@@ -10,19 +11,19 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
+from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.noise import autoregression, correlation_time
-from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
+from pgrssnn_jax.discovery.noise import longest_memory
+from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.setup import Setup, Start
+from pgrssnn_jax.discovery.starts import begins_anew, fitted_start, samples_for_start
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.training import metrics
 
 _RESAMPLED = 400
 _SHORTEST, _LEAST_BLOCKS = 16, 8  # samples of a block at least, and blocks of a sequence
-_HELD = 1e30  # precision of a start that a fit leaves as it is, in any unit of a state
 
 
 class Metric(NamedTuple):
@@ -74,21 +75,30 @@ def train_validations(
 
 
 def validations_on_test(
-    problem: Problem, setup: Setup, guesses: Sequence[Guess], without: Mapping[str, Guess], settings: Settings
+    problem: Problem,
+    setup: Setup,
+    guesses: Sequence[Guess],
+    without: Mapping[str, Guess],
+    settings: Settings,
+    memory: float,
 ) -> Validations:
-    n_init = min(setup.settings.n_init, setup.test.u.shape[1] - 1)
-    fitted = setup.start is Start.UNKNOWN or any(_begins_anew(problem, guess).any() for guess in guesses)
-    metric = _metric(setup.test, n_init if fitted else 0)
+    """memory: correlation time of the errors of the last guess on the estimation record, in samples."""
+    test, n_init = setup.test, min(setup.settings.n_init, setup.test.u.shape[1] - 1)
+    fitted = setup.start is Start.UNKNOWN or any(begins_anew(problem, guess).any() for guess in guesses)
 
     def start(guess: Guess) -> Float[np.ndarray, "seq x"]:
         given = {Start.UNKNOWN: np.nan, Start.AT_REST: 0.0, Start.SHARED: guess.x0[:1]}[setup.start]
-        known = np.broadcast_to(given, (len(setup.test.u), guess.x0.shape[1]))
-        known = np.where(_begins_anew(problem, guess), np.nan, known)
-        return _fitted_start(problem, setup.test, guess, n_init, settings, known) if np.isnan(known).any() else known
+        known = np.broadcast_to(given, (len(test.u), guess.x0.shape[1]))
+        known = np.where(begins_anew(problem, guess), np.nan, known)
+        return fitted_start(problem, test, guess, n_init, settings, known) if np.isnan(known).any() else known
 
-    alone = {name: _simulated(problem, setup.test, guess, start(guess)) for name, guess in without.items()}
-    errors = {name: metric.of(setup.test, y) for name, (y, _) in alone.items()}
-    return _validations(problem, setup.test, guesses, [start(guess) for guess in guesses], metric, errors)
+    if setup.start is Start.UNKNOWN:
+        n_init = samples_for_start(problem, test, guesses[-1], start(guesses[-1]), n_init, memory)
+    metric = _metric(test, n_init if fitted else 0)
+
+    alone = {name: _simulated(problem, test, guess, start(guess)) for name, guess in without.items()}
+    errors = {name: metric.of(test, y) for name, (y, _) in alone.items()}
+    return _validations(problem, test, guesses, [start(guess) for guess in guesses], metric, errors)
 
 
 def _validations(
@@ -120,34 +130,6 @@ def _simulated(
 ) -> tuple[Float[np.ndarray, "seq time y"], Float[np.ndarray, "seq time x"]]:
     y, x = simulate(problem, np.asarray(record.u, np.float64), guess.theta[None], x0[None])
     return y[0], x[0]
-
-
-def _begins_anew(problem: Problem, guess: Guess) -> Bool[np.ndarray, " x"]:
-    """States whose start no two records share."""
-    names = {name for effect in guess.active for name in problem.effect(effect).memory_guesses}
-    return np.array([state.name in names for state in problem.full.states])
-
-
-def _fitted_start(
-    problem: Problem,
-    record: Record,
-    guess: Guess,
-    n_init: int,
-    settings: Settings,
-    known: Float[np.ndarray, "seq x"],
-) -> Float[np.ndarray, "seq x"]:
-    """x_0 of every sequence from its first n_init samples, with θ as it is; known: x_0 of states whose start is known,
-    NaN of the others."""
-    u, y, mask = (np.asarray(a)[:, :n_init] for a in (record.u, record.y, record.mask))
-    u, y = u.astype(np.float64), y.astype(np.float64)
-    spread = np.nanstd(np.where(record.mask, record.y, np.nan), axis=(0, 1))
-    weight = np.where(mask, 1.0 / np.where(spread > 0, spread, 1.0), 0.0)
-    start = np.where(np.isnan(known), start_guess(problem.full, u, y, mask), known)
-    precision = np.where(np.isnan(known), 0.0, _HELD)
-    signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, precision)
-    guesses = [guess._replace(x0=x0) for x0 in problem.beginnings(guess.active, start)]
-    fits = fit_all(problem, signals, guesses, settings, only_start=True)
-    return min(fits, key=lambda fit: fit[1])[0].x0
 
 
 def _interval(drawn: Float[np.ndarray, " draw"]) -> tuple[float, float]:
@@ -183,5 +165,4 @@ def _block(error: Float[np.ndarray, "seq time y"]) -> int:
     """Samples over which errors forget twice over; a sequence keeps some blocks."""
     if not np.isfinite(error).all():
         return _SHORTEST
-    remembered = max(correlation_time(autoregression(error[..., j])) for j in range(error.shape[-1]))
-    return int(np.clip(2.0 * remembered, _SHORTEST, max(_SHORTEST, error.shape[1] // _LEAST_BLOCKS)))
+    return int(np.clip(2.0 * longest_memory(error), _SHORTEST, max(_SHORTEST, error.shape[1] // _LEAST_BLOCKS)))

@@ -78,7 +78,9 @@ def test_the_test_record_is_simulated_from_what_is_known_of_its_start(problem, s
     record = plant(begins, 0.8)
     setup = setup_of(problem, record, record, choices(n_init=30), start)
     with jax.enable_x64(True):
-        said = validations_on_test(problem, setup, (guess, guess, found), {"sensor_offset": guess}, Settings(steps=10))
+        said = validations_on_test(
+            problem, setup, (guess, guess, found), {"sensor_offset": guess}, Settings(steps=10), 1.0
+        )
     assert said.metric.n_init == (30 if start is Start.UNKNOWN else 0)
     assert said.after.error == pytest.approx(0.1, rel=0.2)
     assert said.recalibrated.error == pytest.approx(0.8, rel=0.15)
@@ -102,7 +104,7 @@ def test_no_record_shares_its_phase_with_another(start, phase):
     record = record._replace(y=record.y + hum[None, :, None].astype(record.y.dtype))
     setup = setup_of(problem, record, record, choices(n_init=30), start)
     with jax.enable_x64(True):
-        said = validations_on_test(problem, setup, (guess, guess, found), {}, Settings(steps=10))
+        said = validations_on_test(problem, setup, (guess, guess, found), {}, Settings(steps=10), 1.0)
     assert said.metric.n_init == 30, "the samples that its phase was fitted to do not count"
     assert said.after.error == pytest.approx(0.1, rel=0.25)
     assert said.recalibrated.error > 0.4
