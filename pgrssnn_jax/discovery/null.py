@@ -23,7 +23,7 @@ from pgrssnn_jax.discovery.noise import recoloured
 
 _AT_ONCE = 1_000_000  # samples of noise held in memory
 _WORK = 20_000_000  # samples of noise in all: of long records fewer draws are made
-_LEAST = 0.05  # nats: fits end that near to their optimum, so less is no gain
+LEAST_GAIN = 0.05  # nats: fits end that near to their optimum, so less is no gain
 _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is rounding
 
 
@@ -47,8 +47,8 @@ class Null(NamedTuple):
 
 def null_of(gains: Mapping[str, Float[np.ndarray, " draw"]]) -> Null:
     """From the gains of every effect by luck, in the same draws."""
-    mean = {name: max(float(own.mean()), _LEAST) for name, own in gains.items()}
-    shape = {name: mean[name] ** 2 / max(float(own.var()), _LEAST**2) for name, own in gains.items()}
+    mean = {name: max(float(own.mean()), LEAST_GAIN) for name, own in gains.items()}
+    shape = {name: mean[name] ** 2 / max(float(own.var()), LEAST_GAIN**2) for name, own in gains.items()}
     scale = {name: mean[name] / shape[name] for name in gains}
     alone = [scipy.stats.gamma.logsf(own, shape[name], scale=scale[name]) for name, own in gains.items()]
     return Null(np.sort(np.min(alone, 0)) if alone else np.zeros(1), shape, scale)
