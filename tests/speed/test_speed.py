@@ -1,10 +1,12 @@
 """The benchmark of speed counts right, keeps its numbers equal, and runs."""
 
+import contextlib
 import itertools
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -117,10 +119,15 @@ def test_tables_go_between_the_marks_of_a_page(tmp_path):
         tables.write({"cpu": "", "measured": {}}, page)
 
 
-def _on_one_core() -> None:
-    """The arm is measured on one core and on two: half of the time of this test."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
+@contextlib.contextmanager
+def on_one_core() -> Iterator[None]:
+    """What is started inside inherits it."""
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, sorted(cores)[:1])
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 @pytest.mark.slow
@@ -128,7 +135,9 @@ def _on_one_core() -> None:
 def test_the_benchmark_runs(part, tmp_path):
     out = tmp_path / "figures.json"
     command = [sys.executable, "benchmarks/rollout.py", "--quick", "--only", part, "--json", str(out)]
-    subprocess.run(command, cwd=ROOT, check=True, preexec_fn=_on_one_core if part == "arm" else None)
+    short = part == "arm" and hasattr(os, "sched_setaffinity")  # measured on one core and on two where there are two
+    with on_one_core() if short else contextlib.nullcontext():
+        subprocess.run(command, cwd=ROOT, check=True)
     for found in json.loads(out.read_text())["measured"].values():
         assert found["figures"]
         for figures in found["figures"].values():
