@@ -13,7 +13,7 @@ import pytest
 from pgrssnn_jax.cli.process import Interrupted, ended_at_once, ended_without_memory, stop_signal
 
 NO_MORE_MEMORY = """
-import resource, threading
+import resource, threading, time
 from pgrssnn_jax.cli.process import ended_without_memory
 
 def begin_a_thread():
@@ -24,7 +24,11 @@ def begin_a_thread():
 with ended_without_memory():
     begin_a_thread()  # its stack is kept for the next one
     resource.setrlimit(resource.RLIMIT_AS, (1 << 20, 1 << 20))
-    begin_a_thread()
+    for _ in range(200):
+        try:
+            begin_a_thread()
+        except RuntimeError:  # the stack is not back yet
+            time.sleep(0.05)
 """
 
 
