@@ -13,7 +13,7 @@ from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, s
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import added, linearisation, runs, visible
 from pgrssnn_jax.discovery.noise import noise_floor
-from pgrssnn_jax.discovery.null import Null, nats, null_distribution
+from pgrssnn_jax.discovery.null import LEAST_GAIN, Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.base import SignalRange
@@ -46,9 +46,10 @@ class Model(NamedTuple):
         return float(self.blocks.sum())
 
     def better_than(self, other: "Model") -> tuple[float, float]:
-        """Difference of the predictive log-likelihoods, and its standard error over blocks."""
+        """Difference of the predictive log-likelihoods, and its standard error over blocks, no smaller than what fits
+        leave undone when they end."""
         difference = self.blocks - other.blocks
-        return float(difference.sum()), float(len(difference) ** 0.5 * difference.std(ddof=1))
+        return float(difference.sum()), max(float(len(difference) ** 0.5 * difference.std(ddof=1)), LEAST_GAIN)
 
     def nearer_than(self, other: "Model") -> tuple[float, float]:
         """Mean log ratio of the squared errors of runs over whole sequences, and its standard error over sequences:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, count_of_numbers, moved, ranked
 from pgrssnn_jax.discovery.estimate import Guess
-from pgrssnn_jax.discovery.null import LEAST_GAIN, nats
+from pgrssnn_jax.discovery.null import nats
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.settings import Criteria
 
@@ -100,7 +100,7 @@ def _as_good(one: Candidate, best: Candidate) -> bool:
     if one.model is None or best.model is None:
         return False
     worse, error = best.model.better_than(one.model)
-    return worse <= max(error, LEAST_GAIN)
+    return worse <= error
 
 
 def remembered(screen: Screened, notify: Callable[[str], None]) -> Screened:

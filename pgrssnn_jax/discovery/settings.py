@@ -64,9 +64,7 @@ class DiscoverySettings:
     starts: int = 4  # starting values of the recalibration
     folds: int = 5  # of the cross-validation
     block: int = 32  # samples at most, fewer in records below 640; blocks take turns: every fold sees all parts
-    n_init: int = (
-        50  # samples of the test record from which its start is fitted, where it shares none: at least (`starts.py`)
-    )
+    n_init: int = 50  # samples of the test record, at least, from which its start is fitted, where it shares none
     steps: int = 30  # of Levenberg-Marquardt, at most
     p_value: float = 0.01  # of the gain of an effect under the null (nothing missing, noise of the colour seen)
     share: float = 0.02  # least part of the recalibrated gap (RMS error above the noise) that an effect closes

@@ -3,8 +3,7 @@
 Every model (nominal, recalibrated, with the effects) is simulated from its start: that of the estimation record where
 both share it, else one fitted to the first n_init samples of the test record, which then do not count (more where the
 error of that start would outweigh the noise: `starts.py`). The phase of a periodic disturbance is shared by no records,
-and always fitted. Intervals come from a block bootstrap whose blocks are
-longer than the errors remember.
+and always fitted. Intervals come from a block bootstrap whose blocks are longer than the errors remember.
 """
 
 from collections.abc import Mapping, Sequence
@@ -86,19 +85,19 @@ def validations_on_test(
     test, n_init = setup.test, min(setup.settings.n_init, setup.test.u.shape[1] - 1)
     fitted = setup.start is Start.UNKNOWN or any(begins_anew(problem, guess).any() for guess in guesses)
 
-    def start(guess: Guess) -> Float[np.ndarray, "seq x"]:
+    def start(guess: Guess, n_init: int) -> Float[np.ndarray, "seq x"]:
         given = {Start.UNKNOWN: np.nan, Start.AT_REST: 0.0, Start.SHARED: guess.x0[:1]}[setup.start]
         known = np.broadcast_to(given, (len(test.u), guess.x0.shape[1]))
         known = np.where(begins_anew(problem, guess), np.nan, known)
         return fitted_start(problem, test, guess, n_init, settings, known) if np.isnan(known).any() else known
 
     if setup.start is Start.UNKNOWN:
-        n_init = samples_for_start(problem, test, guesses[-1], start(guesses[-1]), n_init, memory)
+        n_init = samples_for_start(problem, test, guesses[-1], start(guesses[-1], n_init), n_init, memory)
     metric = _metric(test, n_init if fitted else 0)
 
-    alone = {name: _simulated(problem, test, guess, start(guess)) for name, guess in without.items()}
+    alone = {name: _simulated(problem, test, guess, start(guess, n_init)) for name, guess in without.items()}
     errors = {name: metric.of(test, y) for name, (y, _) in alone.items()}
-    return _validations(problem, test, guesses, [start(guess) for guess in guesses], metric, errors)
+    return _validations(problem, test, guesses, [start(guess, n_init) for guess in guesses], metric, errors)
 
 
 def _validations(

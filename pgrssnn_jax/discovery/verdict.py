@@ -16,7 +16,6 @@ import numpy as np
 
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening
 from pgrssnn_jax.discovery.nameless import Nameless
-from pgrssnn_jax.discovery.null import LEAST_GAIN
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
@@ -143,9 +142,8 @@ def _alternatives(problem: Problem, screening: Screening, name: str, criteria: C
         if other.name == name or related or other.model is None or screening.redundant(other.name):
             continue
         worse, error = _compared(own.model, other.model)
-        equal = 0.0 if own.model.free_run is not None else LEAST_GAIN
         better, base_error = other.model.better_than(screening.base)
         counts = better > criteria.standard_errors * base_error and screening.p_value(other) <= criteria.further
-        if counts and worse <= max(criteria.tied * error, equal):
+        if counts and worse <= criteria.tied * error:
             rivals.append(other)
     return tuple(rivals)

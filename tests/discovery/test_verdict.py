@@ -90,8 +90,8 @@ def test_a_rival_that_predicts_as_well_makes_it_ambiguous_and_a_worse_one_does_n
 def test_what_is_within_the_end_of_a_fit_is_no_difference_however_sure_it_is(problem):
     for energy, expected in ((1.0 + 1e-9, Verdict.AMBIGUOUS), (1.01, Verdict.EFFECT_FOUND)):
         rival = model(problem, energy, (RIVAL,))
-        worse, error = model(problem, 1.0, (NAME,)).better_than(rival)
-        assert worse > 10.0 * error, "the same errors, larger in every block"
+        worse = model(problem, 1.0, (NAME,)).blocks - rival.blocks
+        assert worse.sum() > 2.0 * len(worse) ** 0.5 * worse.std(ddof=1), "larger in every block, and surely so"
         assert judged(problem, 1e4, 1.0, rivals={RIVAL: rival}).verdict is expected
 
 
