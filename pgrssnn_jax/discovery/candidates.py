@@ -110,7 +110,7 @@ def score_candidates(
     rng: np.random.Generator,
     without: Sequence[str],
 ) -> Screening:
-    """base: a guess is fitted first. All fits begin at the nominal physics and start too: without an effect, the other
+    """base: a guess is fitted first. Fits begin at the nominal physics and start too: without an effect, the other
     numbers bend until they stand for it, and may not find back when it is there."""
     if isinstance(base, Guess):
         base = _fitted_base(problem, signals, base, settings, criteria)
@@ -120,7 +120,8 @@ def score_candidates(
     at, _ = linearisation(problem, signals, here, run)
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
     gain = partial(_gain, problem, signals, base)
-    guesses += _beside(problem, span, _nominal(problem, signals, here), without)
+    if not here.active:  # beside effects less is bent, and the leading ones begin there in the end
+        guesses += _beside(problem, span, _nominal(problem, signals, here), without)
     rough = fit_all(problem, signals, guesses, settings.roughly)
     rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active[-1], g.theta, span)]
     rough.sort(key=lambda found: found[1])
