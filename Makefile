@@ -21,8 +21,11 @@ train: install
 test: install
 	$(BIN)/python -m pytest
 
+# By file, because the tests of one share programs; shapes are checked by the others, which takes a fifth of their time.
+SLOW := --dist loadfile --jaxtyping-packages=
 test-slow: install
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest $(SLOW) -m "slow and compiles"
+	$(BIN)/python -m pytest $(SLOW) -m "slow and not compiles"
 
 test-all: install
 	$(BIN)/python -m pytest -m ""

@@ -3,11 +3,11 @@
 import os
 import tempfile
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import jax
 import pytest
+from compiler import little_optimised
 
 import pgrssnn_jax  # noqa: F401  sets flags of the compiler, which count before the first computation only
 
@@ -21,14 +21,11 @@ if "PYTEST_XDIST_WORKER" in os.environ or "JAX_COMPILATION_CACHE_DIR" not in os.
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
-# Without the slow tests nearly all time goes to the compiler, which takes about half as long with little optimisation.
-# `make test-all` and `make test-slow` compile everything as users do. XLA stops at flags that it does not know.
-_LITTLE_OPTIMISED = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
-
 
 def pytest_configure(config: pytest.Config) -> None:
-    if config.option.markexpr == "not slow" and metadata.version("jaxlib") == "0.10.2":
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_LITTLE_OPTIMISED}".strip()
+    """Any other selection compiles everything as users do."""
+    if config.option.markexpr in ("not slow", "slow and compiles"):
+        os.environ.update(little_optimised())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -58,12 +55,23 @@ def key() -> jax.Array:
     return jax.random.key(20260715)
 
 
+MOST_MEMORY = 5e9  # bytes that a worker holds before its compiled programs go; two of them fit a machine of 16 GB
+
+
 @pytest.fixture(autouse=True)
 def freed(request: pytest.FixtureRequest) -> Iterator[None]:
     """Slow tests compile as users do; a worker that keeps all their programs needs many gigabytes and is aborted."""
     yield
-    if request.node.get_closest_marker("slow"):
+    if request.node.get_closest_marker("slow") and held() > MOST_MEMORY:
         jax.clear_caches()
+
+
+def held() -> float:
+    """Bytes of memory that this process holds; infinite where nothing tells them."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return float("inf")
 
 
 @pytest.fixture

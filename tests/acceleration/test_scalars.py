@@ -1,6 +1,7 @@
 """Functions written out in numbers, against the arrays that they came from."""
 
 from dataclasses import replace
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -105,25 +106,32 @@ PLANTS = {
 }
 
 
+@cache
+def programs(plant: str):
+    """The problem with the whole catalogue, and its derivatives by numbers and by arrays, which serve every seed."""
+    physics = PLANTS[plant]()
+    problem = build_problem(physics, catalogue(physics))
+    codes = (problem.code, replace(problem.code, written_out=None))
+    return problem, *(jax.jit(partial(with_derivatives, code)) for code in codes)
+
+
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_free_runs_have_the_same_derivatives_either_way(plant, seed):
-    """The whole catalogue in it, from neutral numbers, some of which are infinite, and from empty states."""
-    physics = PLANTS[plant]()
-    problem = build_problem(physics, catalogue(physics))
+    """From neutral numbers, some of which are infinite, and from empty states."""
+    problem, by_numbers, by_arrays = programs(plant)
     assert problem.code.written_out is not None
     draw = np.random.default_rng(seed)
     lanes, p = 3, len(problem.theta)
     theta = np.repeat(problem.theta[:, None], lanes, 1)
     theta[:, 1] *= 1.01
     x0 = draw.uniform(0.0, 8.0, (len(problem.full.states), 2, lanes)) * (np.arange(lanes) > 0)
-    u = draw.uniform(-1.0, 4.0, (20, len(physics.inputs), 2))
+    u = draw.uniform(-1.0, 4.0, (20, len(problem.full.inputs), 2))
     places = [i for i in range(p) if np.isfinite(problem.theta[i])]
     free = np.stack([draw.permutation(places)[:5] for _ in range(lanes)])
     free[0, 3:] = -1
     arguments = tuple(map(jnp.asarray, (u, theta, x0, free)))
-    found = with_derivatives(problem.code, *arguments)
-    expected = with_derivatives(replace(problem.code, written_out=None), *arguments)
+    found, expected = by_numbers(*arguments), by_arrays(*arguments)
     for one, other in zip(found, expected, strict=True):
         assert np.isfinite(other).all()
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-11)

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import resource
 import shutil
 import signal
@@ -98,8 +99,15 @@ def run(
 
 
 def held(work: Path) -> bool:
-    """Has a command its folder, or one of its jobs?"""
-    return any(True for pattern in (".*.lock", "jobs/.*.lock") for _ in work.glob(pattern))
+    """Has a command its folder, or one of its jobs? A killed one leaves its lock behind, which says by whom it was."""
+    return any(_holds(lock) for pattern in (".*.lock", "jobs/.*.lock") for lock in work.glob(pattern))
+
+
+def _holds(lock: Path) -> bool:
+    with contextlib.suppress(OSError):
+        said = re.match(r"process (\d+) ", lock.read_text())
+        return said is None or Path(f"/proc/{said[1]}").exists()
+    return False
 
 
 def spent(process: subprocess.Popen) -> float:

@@ -23,6 +23,7 @@ ARMS = [name for name in config_names("physics") if name.startswith("arm")]
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 @pytest.mark.parametrize("physics", ARMS)
 def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
     overrides = ["data.realisations=2", f"physics={physics}", *SMALL, "model=physics_only"]
@@ -33,6 +34,7 @@ def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zero(tmp_path):
     found = []
     for backend in ("jax", "pinocchio"):
@@ -44,12 +46,14 @@ def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zer
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_the_pinocchio_backend_trains_on_two_devices(tmp_path):
     overrides = [*SMALL, *TINY, "physics.backend=pinocchio", "physics.physics_gradient=full", "members.devices=2"]
     assert metrics_of(trained(tmp_path / "run", "+experiment=robot_real", *overrides))["summary"]["finished"] == 2
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_a_trained_run_shows_the_arm(tmp_path):
     run = trained(tmp_path / "run", "+experiment=robot_real", *SMALL, *TINY, "physics.physics_gradient=stopped")
     assert metrics_of(run)["summary"]["finished"] == 2
@@ -69,6 +73,7 @@ def test_velocities_have_a_scale_of_their_own_and_no_offset():
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_published_scaling_gives_velocities_the_positions_units_and_starts_at_their_mean(tmp_path):
     overrides = ["data.realisations=1", "data.published_scaling=true", "initial_state=scaled_zero", *SMALL]
     plan = planned("+experiment=robot_simulated", *overrides).plan
@@ -144,6 +149,7 @@ def test_a_urdf_of_a_gripper_is_one_sentence(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_an_estimated_start_is_found_through_the_arm(tmp_path):
     overrides = [*SMALL, "model=physics_only", "initial_state=estimated", "n_init=3", "data.n_test=1"]
     x0 = np.load(trained(tmp_path / "run", "+experiment=robot_real", *overrides).path / "predictions.npz")["x0"]
@@ -177,9 +183,9 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "nrmse"),
     [
-        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=pytest.mark.slow),
-        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=pytest.mark.slow),
-        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=pytest.mark.slow),
+        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=[pytest.mark.slow, pytest.mark.compiles]),
+        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=[pytest.mark.slow, pytest.mark.compiles]),
+        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=[pytest.mark.slow, pytest.mark.compiles]),
         (["+experiment=robot_real"], (3.2, 3.32)),
     ],
 )
@@ -196,6 +202,7 @@ def test_the_published_networks_of_the_arm():
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_a_filter_takes_the_numbers_of_a_file_or_those_of_the_record(tmp_path):
     small = [*SMALL, "data.n_samples=80", "model=physics_only"]
     ways = {"stored": ["+experiment=robot_real_filter"], "record": ["+experiment=robot_real", "physics.form=filter"]}

@@ -39,6 +39,7 @@ def files(folder: Path, samples: int = 240, change=lambda u, y: None) -> list[st
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     pair = files(tmp_path)
     shared = "data.shared_initial_state=true"
@@ -74,6 +75,7 @@ def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     """The shorter first sequence never saturates, and what fills it up is no sample."""
     draw, lengths, rows = np.random.default_rng(3), {"calm": 150, "wild": 240}, []
@@ -97,6 +99,7 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_a_saturation_is_found_in_stretches_too(tmp_path):
     config = composed(*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]", name="discover")
     setup, _ = checked(config, lambda line: None)
@@ -111,6 +114,7 @@ def test_a_saturation_is_found_in_stretches_too(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 @pytest.mark.parametrize("layout", ["many short sequences", "every second sample measured"])
 def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
     short, draw, rows = layout.startswith("many"), np.random.default_rng(4), []
@@ -129,6 +133,7 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
 
 
 @pytest.mark.slow
+@pytest.mark.compiles
 def test_ctrl_c_ends_a_discovery_where_it_stands(tmp_path):
     arguments = [*LINEAR, *files(tmp_path, samples=2000), *SHORT, "discovery.most=4", "hydra.run.dir=run"]
     process = start(*arguments, cwd=tmp_path, script="discover.py")

@@ -2,7 +2,7 @@
 
 Fifty moments in all, drawn evenly over the processor time that an undisturbed command takes while it holds its folder.
 Each test prints what it did, so that a failure can be repeated:
-`pytest -m slow -s tests/cli/test_interruptions.py -k 12-train`.
+`pytest -m slow -s tests/cli/test_interruptions.py -k 2-train`.
 """
 
 import fcntl
@@ -30,10 +30,19 @@ from interrupt import (
 from pgrssnn_jax.training.run_folder import RunFolder
 
 SEED = 20261124
-MOMENTS = {"train": 3, "sweep": 1, "discover": 2, "report": 2}  # of each kind
+REPEATS = {"train": 3, "sweep": 1, "discover": 2, "report": 2}
 EPOCHS = {"train": 600, "sweep": 100}
-CASES = [(name, kind) for name, count in MOMENTS.items() for kind in KINDS for _ in range(count)]
-CASES += [("sweep", "SIGKILL"), ("sweep", "full disk")]
+
+
+def chains() -> list[tuple[str, list[str]]]:
+    """A command with the kinds of interruption that meet it one after the other: fifty in all."""
+    draw = np.random.default_rng(SEED)
+    kinds = list(KINDS)
+    drawn = [(name, list(draw.permutation(kinds))) for name, count in REPEATS.items() for _ in range(count)]
+    return [(name, [*found, "SIGKILL", "full disk"] if name == "sweep" else found) for name, found in drawn]
+
+
+CHAINS = chains()
 
 
 class Whole(NamedTuple):
@@ -41,6 +50,13 @@ class Whole(NamedTuple):
 
     folder: Path
     seconds: float
+
+
+class Step(NamedTuple):
+    """A command that a moment disturbed, or none: how it ended, and whether its results are whole."""
+
+    ended: Ended
+    finished: bool
 
 
 @pytest.fixture(scope="session")
@@ -69,27 +85,45 @@ def undisturbed(name: str, shared: Path) -> Whole:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("number", "name", "kind"), [(i, *case) for i, case in enumerate(CASES)])
-def test_a_disturbed_command_ends_as_if_nobody_had_disturbed_it(number, name, kind, tmp_path, shared):
-    task, whole = TASKS[name], undisturbed(name, shared)
-    delay = float(np.random.default_rng([SEED, number]).uniform(0, whole.seconds))
-    work, undo = tmp_path / "work", []
-    with small_disk(work):
-        prepare(work, name, undisturbed("sweep", shared).folder if name == "report" else None)
-        try:
-            disturb = KINDS[kind]
-            ended = run(task, work, shared / "cache", lambda process: undo.append(disturb(process, work)), delay)
-        finally:
-            for step in undo:
-                step()
-        said = (ended.err.strip().splitlines() or [""])[-1]
-        tell(f"{number}: {kind} {delay:.2f} s into {name} ({whole.seconds:.2f} s): exit code {ended.code}; {said}")
-        finished = results(work / task.folder) == results(whole.folder)
-        check_ending(ended, kind if undo else "none", finished=finished)
-        check_no_half_file(work / task.folder)
-        tell(f"{number}: {recovered(name, work, shared, finished=finished)}")
-        assert not list(work.rglob(".*.partial"))
-        assert results(work / task.folder) == results(whole.folder)
+@pytest.mark.parametrize("number", range(len(CHAINS)), ids=[f"{i}-{name}" for i, (name, _) in enumerate(CHAINS)])
+def test_a_command_disturbed_again_and_again_ends_as_if_nobody_had_disturbed_it(number, tmp_path, shared):
+    """Each command goes on from where the one before it was stopped; one that has finished gives way to a new one."""
+    name, kinds = CHAINS[number]
+    whole, draw = undisturbed(name, shared), np.random.default_rng([SEED, number])
+    moments = [(kind, float(draw.uniform(0, whole.seconds))) for kind in kinds]
+    while moments:
+        work = tmp_path / f"{len(moments)}"
+        with small_disk(work):
+            prepare(work, name, undisturbed("sweep", shared).folder if name == "report" else None)
+            finished = False
+            while not finished:
+                kind, delay = moments.pop(0) if moments else ("none", 0.0)
+                step = disturbed(name, work, shared, kind, delay)
+                finished = step.finished
+                tell(f"{number}: {kind} {delay:.2f} s into {name} ({whole.seconds:.2f} s): {said(step.ended)}")
+                check_ending(step.ended, kind, finished=finished)
+                check_no_half_file(work / TASKS[name].folder)
+                tell(f"{number}: {left(name, work, finished=finished)}")
+                assert finished or kind != "none"
+            assert not list(work.rglob(".*.partial"))
+            assert results(work / TASKS[name].folder) == results(whole.folder)
+
+
+def disturbed(name: str, work: Path, shared: Path, kind: str, delay: float) -> Step:
+    """Runs the command, which resumes what it can, as the documents say."""
+    task, undo = TASKS[name], []
+    resumes = name == "train" and RunFolder(work / task.folder).has_checkpoint
+    disturb = None if kind == "none" else lambda process: undo.append(KINDS[kind](process, work))
+    try:
+        ended = run(task, work, shared / "cache", disturb, delay, ["resume=run"] if resumes else None)
+    finally:
+        for step in undo:
+            step()
+    return Step(ended, results(work / task.folder) == results(undisturbed(name, shared).folder))
+
+
+def said(ended: Ended) -> str:
+    return f"exit code {ended.code}; {(ended.err.strip().splitlines() or [''])[-1]}"
 
 
 def tell(line: str) -> None:
@@ -107,7 +141,7 @@ def check_ending(ended: Ended, kind: str, *, finished: bool) -> None:
         "read-only": {2, 0},
         "no memory": {2, 0, 1, -6, -11},  # libraries abort, or say what they like, where they get none
     }[kind]
-    if finished:  # a signal that comes while the interpreter closes down
+    if finished and kind != "none":  # a signal that comes while the interpreter closes down
         allowed |= {-15, -2}
     assert ended.code in allowed, (ended.code, ended.err)
     if kind != "no memory":
@@ -118,18 +152,12 @@ def check_ending(ended: Ended, kind: str, *, finished: bool) -> None:
         )
 
 
-def recovered(name: str, work: Path, shared: Path, *, finished: bool) -> str:
-    """Goes on as the documents say; what the folders held before."""
-    task, again = TASKS[name], None
-    folder, found = work / task.folder, "finished" if finished else "begun again"
+def left(name: str, work: Path, *, finished: bool) -> str:
+    """What the folders hold, which is whole or refused."""
+    folder = work / TASKS[name].folder
     if name == "train":
-        found = check_refused_or_whole(folder, EPOCHS[name])
-        again = ["resume=run"] if RunFolder(folder).has_checkpoint else None
-    elif name == "sweep":
+        return check_refused_or_whole(folder, EPOCHS[name])
+    if name == "sweep":
         jobs = [path for path in sorted(folder.glob("*")) if path.is_dir()]
-        found = "; ".join(check_refused_or_whole(job, EPOCHS[name]) for job in jobs)
-    if finished:
-        return found
-    ended = run(task, work, shared / "cache", again=again)
-    assert ended.code == 0, (found, ended.err)
-    return found
+        return "; ".join(check_refused_or_whole(job, EPOCHS[name]) for job in jobs)
+    return "finished" if finished else "to be begun again"

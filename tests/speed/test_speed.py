@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from compiler import little_optimised
 
 from benchmarks.speed import tables
 from benchmarks.speed.cases import SYSTEMS, inputs, model_and_params, training
@@ -137,7 +138,7 @@ def test_the_benchmark_runs(part, tmp_path):
     command = [sys.executable, "benchmarks/rollout.py", "--quick", "--only", part, "--json", str(out)]
     short = part == "arm" and hasattr(os, "sched_setaffinity")  # measured on one core and on two where there are two
     with on_one_core() if short else contextlib.nullcontext():
-        subprocess.run(command, cwd=ROOT, check=True)
+        subprocess.run(command, cwd=ROOT, check=True, env={**os.environ, **little_optimised()})
     for found in json.loads(out.read_text())["measured"].values():
         assert found["figures"]
         for figures in found["figures"].values():
