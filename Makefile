@@ -21,11 +21,10 @@ train: install
 test: install
 	$(BIN)/python -m pytest
 
-# By file, because the tests of one share programs; shapes are checked by the others, which takes a fifth of their time.
-SLOW := --dist loadfile --jaxtyping-packages=
+# Shapes are checked by the other tests. Those of one file share programs, unless compiling them is what they test.
 test-slow: install
-	$(BIN)/python -m pytest $(SLOW) -m "slow and compiles"
-	$(BIN)/python -m pytest $(SLOW) -m "slow and not compiles"
+	$(BIN)/python -m pytest --jaxtyping-packages= -m "slow and compiles"
+	$(BIN)/python -m pytest --jaxtyping-packages= -m "slow and not compiles" --dist loadfile
 
 test-all: install
 	$(BIN)/python -m pytest -m ""

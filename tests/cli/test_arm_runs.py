@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from commands import QUICK, ROOT, called, composed, config_names, planned, trained
+from compiler import COMPILES
 
 from pgrssnn_jax.data.arm_simulator import simulated_arm
 from pgrssnn_jax.physics.arms.tables import described
@@ -183,9 +184,9 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "nrmse"),
     [
-        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=[pytest.mark.slow, pytest.mark.compiles]),
-        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=[pytest.mark.slow, pytest.mark.compiles]),
-        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=[pytest.mark.slow, pytest.mark.compiles]),
+        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=COMPILES),
+        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=COMPILES),
+        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=COMPILES),
         (["+experiment=robot_real"], (3.2, 3.32)),
     ],
 )
