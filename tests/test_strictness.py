@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import TypeCheckError
+from jaxtyping import Float, TypeCheckError, jaxtyped
+from typechecking import checked
 
 from pgrssnn_jax.effects.arm import tilted
 
@@ -11,6 +12,27 @@ from pgrssnn_jax.effects.arm import tilted
 def test_shapes_are_checked():
     with pytest.raises(TypeCheckError, match="gravity"):
         tilted(np.zeros(2), jnp.asarray(0.1), jnp.asarray(0.1))
+
+
+def test_functions_inside_of_others_are_checked_by_their_own_annotations_each_time():
+    def made(n: int, kind: type):
+        @jaxtyped(typechecker=checked)
+        def inner(x: Float[np.ndarray, f"{n}"], factor: kind = 2) -> Float[np.ndarray, f"{n}"]:
+            return factor * x[: 2 * n - 1]
+
+        return inner
+
+    for n, kind in ((2, int), (3, int), (3, float), (2, int)):
+        one = made(n, kind)
+        np.testing.assert_array_equal(one(np.ones(n), kind(3)), 3.0 * np.ones(n))
+        with pytest.raises(TypeCheckError):
+            one(np.ones(n + 1), kind(3))
+        with pytest.raises(TypeCheckError):
+            one(np.ones(n), "3")
+    with pytest.raises(TypeCheckError):
+        made(2, int)(np.ones(2), 3.0)
+    with pytest.raises(TypeCheckError):
+        made(1, int)(np.ones(2))
 
 
 def test_arrays_are_not_broadcast_by_rank():

@@ -51,7 +51,7 @@ def test_pysindy_is_given_the_state_that_nobody_measures():
 @needs_pysindy
 def test_the_script_goes_on_where_it_was(tmp_path):
     arguments = ["--only", "pysindy", "--parts", "suite", "--systems", "duffing", "--json", str(tmp_path / "rows")]
-    for cases in (1, 2):
+    for cases in (1, 2, 2):
         code, out, err = command(*arguments, "--cases", str(cases), cwd=tmp_path, script=SCRIPT)
         assert code == 0, err
         assert "| PySINDy |" in out
