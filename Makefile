@@ -21,10 +21,10 @@ train: install
 test: install
 	$(BIN)/python -m pytest
 
-# Shapes are checked by the other tests. Those of one file share programs, unless compiling them is what they test.
+# First what mostly compiles, with little optimisation; then the others by file, because tests of a file share programs.
 test-slow: install
-	$(BIN)/python -m pytest --jaxtyping-packages= -m "slow and compiles"
-	$(BIN)/python -m pytest --jaxtyping-packages= -m "slow and not compiles" --dist loadfile
+	$(BIN)/python -m pytest -m "slow and compiles"
+	$(BIN)/python -m pytest -m "slow and not compiles" --dist loadfile
 
 test-all: install
 	$(BIN)/python -m pytest -m ""

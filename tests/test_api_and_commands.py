@@ -5,14 +5,13 @@ import json
 import numpy as np
 import pytest
 from commands import command
-from compiler import COMPILES
 
 import pgrssnn_jax as pg
 
 SMOKE = {"epochs": 10, "chunk_epochs": 10, "optimisation": 0, "quiet": True}
 
 
-@pytest.mark.parametrize("name", ["physics_only", pytest.param("pg_rssnn", marks=COMPILES)])
+@pytest.mark.parametrize("name", ["physics_only", pytest.param("pg_rssnn", marks=pytest.mark.slow)])
 def test_the_api_gives_the_numbers_of_the_command(name, tmp_path):
     arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", f"model={name}"]
     code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
@@ -27,7 +26,6 @@ def test_the_api_gives_the_numbers_of_the_command(name, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.compiles
 def test_the_api_chooses_the_settings_of_the_command(tmp_path):
     arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", "recipe=auto", "data.n_train=200"]
     code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
@@ -41,7 +39,6 @@ def test_the_api_chooses_the_settings_of_the_command(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("name", "build", "more"),
     [
@@ -66,7 +63,6 @@ def test_the_api_gives_the_numbers_of_the_command_on_every_benchmark(name, build
 
 
 @pytest.mark.slow
-@pytest.mark.compiles
 def test_discover_gives_the_numbers_of_the_command(tmp_path):
     cheap = {"steps": 4, "draws": 99, "starts": 1, "most": 1, "p_value": 0.02, "network_epochs": 2}
     arguments = [f"discovery.{name}={value}" for name, value in cheap.items()]
