@@ -23,7 +23,7 @@ test: install
 
 # First what mostly compiles, with little optimisation; then the others by file, because tests of a file share programs.
 test-slow: install
-	$(BIN)/python -m pytest -m "slow and compiles"
+	$(BIN)/python -m pytest -m compiles
 	$(BIN)/python -m pytest -m "slow and not compiles" --dist loadfile
 
 test-all: install

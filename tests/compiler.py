@@ -3,11 +3,6 @@
 import os
 from importlib import metadata
 
-import pytest
-
-#: the marks of tests that are slow because they compile
-COMPILES = (pytest.mark.slow, pytest.mark.compiles)
-
 _FLAGS = "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false"
 
 

@@ -24,12 +24,17 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 def pytest_configure(config: pytest.Config) -> None:
     """Any other selection compiles everything as users do."""
-    if config.option.markexpr in ("not slow", "slow and compiles"):
+    if config.option.markexpr in ("not slow", "compiles"):
         os.environ.update(little_optimised())
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests marked `data` run where the data is; elsewhere they are skipped, and `.ci/run` counts them."""
+    """What `compiles` is `slow`, before any are selected. Tests marked `data` run where the data is; elsewhere they are
+    skipped, and `.ci/run` counts them."""
+    for item in items:
+        if item.get_closest_marker("compiles"):
+            item.add_marker("slow")
     if data_folder() is None:
         skip = pytest.mark.skip(reason="PGRSSNN_DATA is not set")
         for item in items:
@@ -60,13 +65,13 @@ MOST_MEMORY = 5e9  # bytes that a worker holds before its compiled programs go; 
 
 @pytest.fixture(autouse=True)
 def freed(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Slow tests compile as users do; a worker that keeps all their programs needs many gigabytes and is aborted."""
+    """A worker that keeps the programs of all slow tests needs many gigabytes and is aborted."""
     yield
-    if request.node.get_closest_marker("slow") and held() > MOST_MEMORY:
+    if request.node.get_closest_marker("slow") and memory() > MOST_MEMORY:
         jax.clear_caches()
 
 
-def held() -> float:
+def memory() -> float:
     """Bytes of memory that this process holds; infinite where nothing tells them."""
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import QUICK, ROOT, composed, config_names, planned, trained, write_benchmark
-from compiler import COMPILES
 from hydra.core.config_store import ConfigStore
 
 from pgrssnn_jax.cli.config_store import register
@@ -45,7 +44,7 @@ def test_hydra_lists_the_configurations_without_copying_their_store():
 FAST = ("w_pgnn",)  # the one with a network inside; others train in the tests of the commands
 
 
-@pytest.mark.parametrize("model", [m if m in FAST else pytest.param(m, marks=COMPILES) for m in MODELS])
+@pytest.mark.parametrize("model", [m if m in FAST else pytest.param(m, marks=pytest.mark.compiles) for m in MODELS])
 def test_every_model_trains_for_two_epochs(tmp_path, model):
     path = write_benchmark(tmp_path / "tanks.csv", samples=80)
     run = trained(
@@ -65,7 +64,6 @@ def test_every_model_trains_for_two_epochs(tmp_path, model):
 LGSSM = [name for name in config_names("physics") if name.startswith("lgssm")]
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 @pytest.mark.parametrize("physics", LGSSM)
 def test_every_lgssm_physics_trains_for_two_epochs(tmp_path, physics):
@@ -190,8 +188,8 @@ def test_earlier_spellings_are_taken_with_a_warning():
     ("overrides", "volts"),
     [
         (["initial_state=zero", "physics.clamp=false"], 1.042),
-        pytest.param(["initial_state=first_output", "physics.clamp=false"], 0.763, marks=COMPILES),
-        pytest.param(["initial_state=zero", "physics.clamp=true"], 1.110, marks=COMPILES),
+        pytest.param(["initial_state=first_output", "physics.clamp=false"], 0.763, marks=pytest.mark.compiles),
+        pytest.param(["initial_state=zero", "physics.clamp=true"], 1.110, marks=pytest.mark.compiles),
         (["initial_state=first_output", "physics.clamp=true"], 0.852),
     ],
 )

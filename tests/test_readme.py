@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 from blocks import BLOCK, SCRIPTS, blocks, run_page, saved_block, shell_lines
 from commands import ROOT, called, command, composed
-from compiler import COMPILES
 from hydra import compose, initialize_config_dir
 from workplace import furnish, pendulum, pendulum_csv
 
@@ -133,7 +132,7 @@ QUICK_PAGES = ("catalogue",)
 
 
 @pytest.mark.parametrize(
-    "page", [page if page.stem in QUICK_PAGES else pytest.param(page, marks=COMPILES) for page in CODE],
+    "page", [page if page.stem in QUICK_PAGES else pytest.param(page, marks=pytest.mark.compiles) for page in CODE],
     ids=lambda page: f"{page.parent.name}_{page.stem}",
 )  # fmt: skip
 def test_every_block_runs_as_printed(page, tmp_path, monkeypatch):
@@ -150,7 +149,6 @@ def test_every_block_runs_as_printed(page, tmp_path, monkeypatch):
         assert said["better"].physics.discovered
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_the_own_physics_example_trains_on_own_data(tmp_path):
     (tmp_path / "my_physics.py").write_text(EXAMPLE)

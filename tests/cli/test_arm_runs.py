@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 from commands import QUICK, ROOT, called, composed, config_names, planned, trained
-from compiler import COMPILES
 
 from pgrssnn_jax.data.arm_simulator import simulated_arm
 from pgrssnn_jax.physics.arms.tables import described
@@ -23,7 +22,6 @@ def metrics_of(run) -> dict:
 ARMS = [name for name in config_names("physics") if name.startswith("arm")]
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 @pytest.mark.parametrize("physics", ARMS)
 def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
@@ -34,7 +32,6 @@ def test_every_arm_physics_runs_on_every_dataset(tmp_path, physics):
     assert [output["name"] for output in metrics["outputs"]] == POSITIONS
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zero(tmp_path):
     found = []
@@ -46,14 +43,12 @@ def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zer
     np.testing.assert_allclose(*found, atol=2e-4)  # rad; float32, and friction switches its sign at standstill
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_the_pinocchio_backend_trains_on_two_devices(tmp_path):
     overrides = [*SMALL, *TINY, "physics.backend=pinocchio", "physics.physics_gradient=full", "members.devices=2"]
     assert metrics_of(trained(tmp_path / "run", "+experiment=robot_real", *overrides))["summary"]["finished"] == 2
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_a_trained_run_shows_the_arm(tmp_path):
     run = trained(tmp_path / "run", "+experiment=robot_real", *SMALL, *TINY, "physics.physics_gradient=stopped")
@@ -73,7 +68,6 @@ def test_velocities_have_a_scale_of_their_own_and_no_offset():
     assert (scaling.x.scale[:, 6:] != scaling.x.scale[:, :6]).all()
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_published_scaling_gives_velocities_the_positions_units_and_starts_at_their_mean(tmp_path):
     overrides = ["data.realisations=1", "data.published_scaling=true", "initial_state=scaled_zero", *SMALL]
@@ -149,7 +143,6 @@ def test_a_urdf_of_a_gripper_is_one_sentence(tmp_path):
     assert err.count("\n") == 1
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_an_estimated_start_is_found_through_the_arm(tmp_path):
     overrides = [*SMALL, "model=physics_only", "initial_state=estimated", "n_init=3", "data.n_test=1"]
@@ -184,9 +177,9 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "nrmse"),
     [
-        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=COMPILES),
-        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=COMPILES),
-        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=COMPILES),
+        pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=pytest.mark.compiles),
+        pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=pytest.mark.compiles),
+        pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=pytest.mark.compiles),
         (["+experiment=robot_real"], (3.2, 3.32)),
     ],
 )
@@ -202,7 +195,6 @@ def test_the_published_networks_of_the_arm():
         assert config["fit"]["epochs"] <= 200
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_a_filter_takes_the_numbers_of_a_file_or_those_of_the_record(tmp_path):
     small = [*SMALL, "data.n_samples=80", "model=physics_only"]

@@ -38,7 +38,6 @@ def files(folder: Path, samples: int = 240, change=lambda u, y: None) -> list[st
     return [f"data.train={train}", f"data.test={test}"]
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     pair = files(tmp_path)
@@ -74,7 +73,6 @@ def test_a_discovery_leaves_its_folder_and_training_takes_it_up(tmp_path):
     assert (tmp_path / "trained" / "DONE").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     """The shorter first sequence never saturates, and what fills it up is no sample."""
@@ -98,7 +96,6 @@ def test_when_an_effect_acts_is_said_of_the_sequence_in_which_it_does(tmp_path):
     assert all(row["share_of_samples"] <= 1.0 for row in said["disagreement"])
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_a_saturation_is_found_in_stretches_too(tmp_path):
     config = composed(*LINEAR, *files(tmp_path), *SHORT, "discovery.stretches=[40,80]", name="discover")
@@ -113,7 +110,6 @@ def test_a_saturation_is_found_in_stretches_too(tmp_path):
     assert [effect["name"] for effect in said["effects"]] == ["input_saturation"]
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 @pytest.mark.parametrize("layout", ["many short sequences", "every second sample measured"])
 def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
@@ -132,7 +128,6 @@ def test_a_saturation_is_found_however_the_record_is_laid_out(tmp_path, layout):
     assert found.selection.floor * np.std(setup.estimation.y[setup.estimation.mask]) == pytest.approx(0.02, rel=0.15)
 
 
-@pytest.mark.slow
 @pytest.mark.compiles
 def test_ctrl_c_ends_a_discovery_where_it_stands(tmp_path):
     arguments = [*LINEAR, *files(tmp_path, samples=2000), *SHORT, "discovery.most=4", "hydra.run.dir=run"]

@@ -60,7 +60,7 @@ def test_the_way_back_is_the_inverse(one, other):
 def test_two_conversions_after_each_other_are_one(middle):
     there = {one: factor for one in UNITS if (factor := conversion(one, middle)) is not None}
     for one, first in there.items():
-        for other in there:  # what no unit leads to leads nowhere, as the way back shows
+        for other in there:  # every one of them has a way back, as the test above shows
             second = conversion(middle, other)
             assert second is not None
             assert conversion(one, other) == pytest.approx(first * second, rel=1e-12)
