@@ -1,7 +1,10 @@
 """Strictness that users need not pay for: array shapes checked, rank promotion raises, warnings are errors."""
 
+import gc
+import hashlib
 import os
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +25,10 @@ jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
+#: tracing makes millions of small objects; a collection of garbage every 700 of them takes 5 % of the tests' time
+gc.set_threshold(100_000, 50, 100)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Any other selection compiles everything as users do."""
     if config.option.markexpr in ("not slow", "compiles"):
@@ -31,15 +38,25 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What `compiles` is `slow`, before any are selected. Tests marked `data` run where the data is; elsewhere they are
-    skipped, and `.ci/run` counts them."""
+    skipped, and `.ci/run` counts them. The files are shuffled where their order is named, so that no file is always the
+    last one within a limit of time."""
     for item in items:
         if item.get_closest_marker("compiles"):
             item.add_marker("slow")
+    if order := os.environ.get("SLOW_TESTS_ORDER"):
+        items.sort(key=lambda item: hashlib.sha256(f"{order} {item.path.name}".encode()).digest())
     if data_folder() is None:
         skip = pytest.mark.skip(reason="PGRSSNN_DATA is not set")
         for item in items:
             if item.get_closest_marker("data"):  # not by keyword, which a folder of this name would give
                 item.add_marker(skip)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Slow tests begin within the limit of time, where there is one."""
+    if item.get_closest_marker("slow") and time.time() > float(os.environ.get("SLOW_TESTS_UNTIL", "inf")):
+        pytest.skip(f"no time is left for {item.nodeid}")
 
 
 def data_folder() -> Path | None:
