@@ -18,6 +18,9 @@ SOURCES := pgrssnn_jax hydra_plugins tests benchmarks docs examples train.py dis
 train: install
 	$(BIN)/python train.py +experiment=cascaded_tank
 
+# Tests share the cores: threads of BLAS would wait for each other.
+test test-slow test-all: export OPENBLAS_NUM_THREADS = 1
+
 test: install
 	$(BIN)/python -m pytest
 

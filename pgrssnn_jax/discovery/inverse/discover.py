@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
 from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques, fastest_of, judged, samples_of, torques
@@ -116,7 +117,8 @@ def _unfit(setup: Setup) -> str | None:
 def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], None]) -> Found:
     """motion: of the estimation record, from `motion_evidence`."""
     started, fastest = time.perf_counter(), fastest_of(motion)
-    with jax.enable_x64(True):
+    # Thousands of small products: threads of BLAS wait for each other longer than they compute where cores are busy.
+    with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         problem = build_problem(setup.physics, judged(setup.physics, setup.effects), accelerate=False)
         problem = _held(problem, setup.settings.tolerance)
         model = torques(problem)
