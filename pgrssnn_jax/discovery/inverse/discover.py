@@ -221,13 +221,15 @@ def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Readi
 
 
 def _floor(model: Torques, setup: Setup, train: Compared, samples: Samples, theta: Float[np.ndarray, " p"]) -> float:
-    """What noise alone leaves, in the metric: of torques, and of accelerations by the inertia that they move."""
+    """What noise alone leaves, in the metric: of torques, and of accelerations by the inertia that they move. At most
+    what the final model leaves: dry friction that changes its sign fills the spectrum of a torque as noise does."""
     _, floor = spectrum_of(np.asarray(setup.estimation.u, np.float64), setup.physics.dt)
     motion = train.motion
     of_torque = floor * (motion.cutoff or 0.5 / setup.physics.dt)
     still = samples._replace(a=np.zeros_like(samples.a))
     inertial = ((model.errors(theta, samples) - model.errors(theta, still)) ** 2).mean(1)
-    return float(np.mean(np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread))
+    spectral = np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread
+    return min(float(np.mean(spectral)), train.models["after"].error)
 
 
 def _verdict(

@@ -10,7 +10,7 @@ from pgrssnn_jax.discovery.inverse.compare import Compared
 from pgrssnn_jax.discovery.inverse.discover import Found, rival_structures
 from pgrssnn_jax.discovery.inverse.judge import departed
 from pgrssnn_jax.discovery.inverse.select import own_places
-from pgrssnn_jax.discovery.inverse.serialise_effects import findings, open_gap
+from pgrssnn_jax.discovery.inverse.serialise_effects import closed_on_test, findings
 from pgrssnn_jax.discovery.serialise_numbers import about_data
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -77,7 +77,7 @@ def torques_arrays(found: Found, setup: Setup) -> dict[str, np.ndarray]:
 def _gap(found: Found) -> dict[str, Any]:
     models = {"train": found.train.models, "test": found.test.models}
     stages = ("before", "recalibrated", "after")
-    closed = (found.test.models["recalibrated"].error - found.test.models["after"].error) / open_gap(found)
+    closed = closed_on_test(found, found.test.models["recalibrated"].error)
     return {
         "metric": "torque NRMSE",
         "unit": "",
@@ -227,7 +227,7 @@ def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]
     if found.verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {shown}. {left}"
     others = " (other structures predict as well)" if found.verdict is Verdict.AMBIGUOUS else ""
-    share = 100 * gap["closed_fraction"]
+    share = 100 * min(gap["closed_fraction"], 1.0)
     return f"Missing: {titles}{others}; {shown} ({share:.0f} % of the gap above the noise closed). {left}"
 
 

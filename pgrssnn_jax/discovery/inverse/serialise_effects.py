@@ -44,7 +44,7 @@ def _finding(found: Found, name: str, command: str) -> dict[str, Any]:
         **_EVERYWHERE,
         "p_value": found.p_values.get(name),
         "gain_train": None,
-        "gain_test": None if without is None else (without - found.test.models["after"].error) / open_gap(found),
+        "gain_test": None if without is None else closed_on_test(found, without),
         "runner_up": None,
         "command": command,
     }
@@ -98,5 +98,7 @@ def _joint(problem: Problem, place: int) -> int:
     return int(problem.slots[place].label.rpartition("[")[2].rstrip("]"))
 
 
-def open_gap(found: Found) -> float:
-    return max(found.test.models["recalibrated"].error - found.floor, 1e-12)
+def closed_on_test(found: Found, error: float) -> float:
+    """Part of the recalibrated gap on the test record between an error and that of the final model."""
+    gap = found.test.models["recalibrated"].error - found.floor
+    return (error - found.test.models["after"].error) / gap if gap > 0 else 0.0

@@ -47,6 +47,7 @@ def test_a_payload_is_weighed_and_everything_is_told(tmp_path):
     low, high = found.effects[0].parameters["mass"]["interval"]
     assert low < 80.0 < high
     assert found.gap["after"]["test"] < 0.3 * found.gap["recalibrated"]["test"]
+    assert 0.9 < found.gap["closed_fraction"] < 1.1
     assert found.details["evidence"]["kind"] == "inverse_dynamics"
     assert [row["joint"] for row in found.details["joints"]] == [1, 2, 3, 4, 5, 6]
     found.save(tmp_path / "run")
@@ -62,6 +63,8 @@ def test_nothing_is_found_where_friction_is_ten_per_cent_off():
     found = discovered(friction=1 + 0.1 * np.array([1, -1, 1, -1, 1, -1]))
     assert found.verdict in ("no_discrepancy", "miscalibrated")
     assert not found.effects
+    assert found.gap["closed_fraction"] == pytest.approx(0.0, abs=0.05)
+    assert found.gap["floor"] <= found.gap["after"]["train"]
 
 
 @pytest.mark.slow
