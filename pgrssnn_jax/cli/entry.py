@@ -23,6 +23,8 @@ from pgrssnn_jax.cli.process import (
     refusal,
     say,
     stop_signal,
+    whole_tracebacks,
+    write_line,
 )
 from pgrssnn_jax.training.run_lock import locked
 
@@ -68,7 +70,7 @@ def run(prepare: Callable[[Any], Work], config: Any) -> Any:
                     raise
                 sys.exit(say(sentence))
     except (Interrupted, KeyboardInterrupt) as stopped:
-        sys.stderr.write(f"{stopped or 'stopped; a run folder that was begun can be resumed'}\n")
+        write_line(str(stopped) or "stopped; a run folder that was begun can be resumed")
         sys.exit(INTERRUPTED)
 
 
@@ -81,7 +83,7 @@ def call(main: Callable[[], None]) -> None:
     main_thread = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main_thread else None  # also between jobs
     try:
-        with ended_without_memory():
+        with ended_without_memory(), whole_tracebacks():
             main()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
@@ -94,4 +96,4 @@ def call(main: Callable[[], None]) -> None:
 
 def _warned(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
     """One line, as for errors."""
-    sys.stderr.write(f"warning: {message}\n")
+    write_line(f"warning: {message}")

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
+from types import FrameType, TracebackType
 from typing import Any
 
 BAD_INPUT = 2
@@ -20,6 +20,7 @@ INTERRUPTED = 130
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _NO_ENTRY = (errno.EACCES, errno.EPERM)
 _MEMORY_ENDED = "expected enough memory to go on, found none left; complete files stay"
+_IN_ONE_PIECE = threading.Lock()  # of what goes to stderr: threads of libraries write tracebacks in many pieces
 _NO_MEMORY = ("RESOURCE_EXHAUSTED", "Out of memory", "bad_alloc", "can't start new thread", os.strerror(errno.ENOMEM))
 
 
@@ -95,7 +96,8 @@ def ended_without_memory() -> Iterator[None]:
             if error.exc_type is MemoryError:
                 os.write(2, sentence)
                 os._exit(BAD_INPUT)
-            previous(error)
+            with _IN_ONE_PIECE:
+                previous(error)
 
     threading.Thread(target=watch, daemon=True).start()
     sys.unraisablehook = errors.put
@@ -106,9 +108,30 @@ def ended_without_memory() -> Iterator[None]:
         errors.put(None)
 
 
+@contextmanager
+def whole_tracebacks() -> Iterator[None]:
+    """Inside, an error that a thread of a library prints is written in one piece."""
+    previous = sys.excepthook
+
+    def show(kind: type[BaseException], problem: BaseException, trace: TracebackType | None) -> None:
+        with _IN_ONE_PIECE:
+            previous(kind, problem, trace)
+
+    sys.excepthook = show
+    try:
+        yield
+    finally:
+        sys.excepthook = previous
+
+
 def say(sentence: str) -> int:
-    sys.stderr.write(f"error: {sentence}\n")
+    write_line(f"error: {sentence}")
     return BAD_INPUT
+
+
+def write_line(line: str) -> None:
+    with _IN_ONE_PIECE:
+        sys.stderr.write(f"{line}\n")
 
 
 def refusal(problem: BaseException, folder: Path) -> str | None:
