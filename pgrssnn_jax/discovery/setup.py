@@ -59,6 +59,11 @@ class Setup(NamedTuple):
         return tuple(effect for effect in self.effects if not effect.elaborate)
 
     @property
+    def candidates(self) -> tuple[Effect, ...]:
+        """All but those that the user leaves out."""
+        return tuple(effect for effect in self.effects if effect.name not in self.settings.without)
+
+    @property
     def own_effects(self) -> tuple[Effect, ...]:
         """Those of the user."""
         return self.effects[len(catalogue(self.physics)) :]

@@ -119,7 +119,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
     started, fastest = time.perf_counter(), fastest_of(motion)
     # Thousands of small products: threads of BLAS wait for each other longer than they compute where cores are busy.
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
-        problem = build_problem(setup.physics, judged(setup.physics, setup.effects), accelerate=False)
+        problem = build_problem(setup.physics, judged(setup.physics, setup.candidates), accelerate=False)
         problem = _held(problem, setup.settings.tolerance)
         model = torques(problem)
         reading, search, tried = _search(model, setup, motion, notify)

@@ -164,7 +164,7 @@ def _alternatives(found: Found) -> list[dict[str, Any]]:
 def _untestable(found: Found, setup: Setup) -> list[dict[str, Any]]:
     there = {effect.name for effect in found.problem.effects}
     reason = "it is no torque: only a simulation shows it (discovery.evidence=free_run)"
-    return [{"name": e.name, "reason": reason} for e in setup.effects if e.name not in there]
+    return [{"name": e.name, "reason": reason} for e in setup.candidates if e.name not in there]
 
 
 def _remaining(found: Found) -> dict[str, Any]:

@@ -100,6 +100,16 @@ def test_single_effects_are_named_with_their_joints(name, changes, key, value):
 
 
 @pytest.mark.slow
+def test_what_the_user_leaves_out_is_neither_named_nor_untestable():
+    nominal, changes = pg.physics.arm(gravity=tuple(KUKA.gravity)), {"bias": np.array([0, 150.0, -80.0, 0, 0, 0])}
+    records = log(1, **changes), log(2, sequences=3, **changes)
+    found = pg.discover(nominal, *records, without=["torque_bias"], **QUIET)
+    assert "torque_bias" not in [effect.name for effect in found.effects]
+    assert "torque_bias" not in [one["name"] for one in found.details["untestable"]]
+    assert "torque_bias" not in [row["name"] for row in found.details["ranking"]]
+
+
+@pytest.mark.slow
 def test_friction_that_is_another_one_is_named_with_its_joint():
     more = np.array([1.0, 1.0, 1.5, 1.0, 1.0, 1.0])
     names = {effect.name: effect.joints for effect in discovered(friction=more).effects}
