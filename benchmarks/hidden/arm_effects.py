@@ -18,13 +18,17 @@ CATALOGUE = Catalogue(
     acts_on={
         "torque_bias": "drive",
         "torque_gain": "drive",
+        "linear_spring": "spring",
+        "gravity_counterbalance": "balance",
         "viscous_friction": "friction",
         "coulomb_friction": "friction",
         "velocity_disturbance": "velocity",
         "payload": "load",
         "gravity_direction": "base",
         "home_offset": "sensor",
+        "ripple": "drive",
     },
+    unnamed=("ripple",),
     noises=(1e-4, 1e-3, 1e-2),  # rad, as encoders have it
     identical={
         "torque_bias": ("input_offset",),
@@ -34,9 +38,11 @@ CATALOGUE = Catalogue(
     family={"coulomb_friction": ("stribeck_friction", "stiction")},
     recalibrated=("viscous_friction", "coulomb_friction"),  # both are parameters of the base physics
 )
+FRICTION = 0.1  # relative error of every known friction number, at most
 
 _BIAS = np.array([5.0, 60.0, 30.0, 2.0, 4.0, 1.0])  # Nm, the least; the largest is four times as large
 _LOAD_RADIUS = 0.15  # m, of a solid ball
+_STRUCTURAL = 0.5  # of the wrong gravities and zeros: half a turn, a quarter turn
 Change = tuple[ArmTables, Effects, dict[str, Any]]
 
 
@@ -88,6 +94,7 @@ def _coulomb(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> C
 
 
 def _memory(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Change:
+    """For samples of 0.1 s."""
     s = _signs(rng, 6) * rng.uniform(0.05, 0.2, 6)
     return tables, effects._replace(memory=effects.memory + s), _said("velocity_disturbance", np.arange(6), s)
 
@@ -106,18 +113,50 @@ def _payload(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> C
 
 
 def _gravity(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Change:
-    """The base leans by an angle, rad, towards a heading in the floor's plane."""
+    """The base leans by an angle, rad, towards a heading in the floor's plane, or hangs from the ceiling."""
     tilt, heading = float(np.deg2rad(rng.uniform(2, 8))), float(rng.uniform(0, 2 * np.pi))
+    tilt = np.pi if rng.random() < _STRUCTURAL else tilt
     axis = np.array([-np.sin(heading), np.cos(heading), 0.0])
     leaning = tables._replace(gravity=pin.exp3(tilt * axis) @ tables.gravity)
     return leaning, effects, {"tilt": tilt, "heading": heading, "gravity": leaning.gravity.tolist()}
 
 
 def _home(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Change:
-    """Not joint 1, about whose vertical axis every angle is alike, and not joint 6, which carries next to nothing."""
+    """A few degrees, or a quarter turn of one joint. Not joint 1, about whose vertical axis every angle is alike, and
+    not joint 6, which carries next to nothing."""
     joints = np.union1d(_some(rng, (1, 2), 1, 2), _some(rng, (3, 4), 0, 1)).astype(int)
     off = _signs(rng, len(joints)) * rng.uniform(0.02, 0.1, len(joints))
+    if rng.random() < _STRUCTURAL:
+        joints, off = joints[:1], np.sign(off[:1]) * np.pi / 2
     return tables, effects._replace(home=_placed(effects.home, joints, off)), _said("home_offset", joints, off)
+
+
+def _spring(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Change:
+    """A cable bundle, Nm/rad."""
+    joints = _some(rng, tuple(range(6)), 1, 2)
+    stiff = 2 * _BIAS[joints] * rng.uniform(1, 4, len(joints))
+    changed = effects._replace(spring=_placed(np.zeros(6), joints, stiff))
+    return tables, changed, _said("linear_spring", joints, stiff)
+
+
+def _counterbalance(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Change:
+    """A spring that bears part of the arm's weight, Nm and rad."""
+    moment, angle = float(rng.uniform(500, 3000)), float(rng.uniform(-np.pi, np.pi))
+    return tables, effects._replace(counterbalance=(moment, angle)), {"counterbalance": [moment, angle]}
+
+
+def _ripple(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Change:
+    """A hum of the drives, Nm and Hz, for which the catalogue has no name."""
+    joints = _some(rng, tuple(range(6)), 1, 2)
+    size, hum = 2 * _BIAS[joints] * rng.uniform(1, 4, len(joints)), float(rng.uniform(0.5, 2.0))
+    changed = effects._replace(ripple=_placed(np.zeros(6), joints, size), hum=hum)
+    return tables, changed, _said("ripple", joints, size) | {"hum": hum}
+
+
+def rubbing(rng: np.random.Generator, tables: ArmTables) -> ArmTables:
+    """Every friction number as far from what is known as load, warmth and age bring it."""
+    off = 1 + rng.uniform(-FRICTION, FRICTION, (2, tables.n))
+    return tables._replace(viscous=off[0] * tables.viscous, coulomb=off[1] * tables.coulomb)
 
 
 DRAWS: dict[str, Callable[[np.random.Generator, ArmTables, Effects], Change]] = {
@@ -129,4 +168,7 @@ DRAWS: dict[str, Callable[[np.random.Generator, ArmTables, Effects], Change]] = 
     "payload": _payload,
     "gravity_direction": _gravity,
     "home_offset": _home,
+    "linear_spring": _spring,
+    "gravity_counterbalance": _counterbalance,
+    "ripple": _ripple,
 }

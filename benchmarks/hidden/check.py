@@ -89,8 +89,9 @@ def exact_linear() -> None:
 
 def exact_arm() -> None:
     case = hidden_arm.build(0, noise=0.0)
+    friction = {f"{name}_friction": case.magnitudes[name] for name in ("viscous", "coulomb")}
     for sub_steps in (1, 2, 5, 10, 20):
-        found = difference(case, arm(sub_steps=sub_steps), np.zeros(12))
+        found = difference(case, arm(dt=case.train.info.dt, sub_steps=sub_steps, **friction), np.zeros(12))
         print(f"arm, {sub_steps} sub-steps, per joint", found.round(5))
 
 

@@ -30,7 +30,7 @@ def _in_own_units(case: Case) -> Physics:
         return lgssm(**case.physics)
     if case.system in USERS:
         return USERS[case.system](**case.physics)
-    return arm(**{"sub_steps": 5, **case.physics})
+    return arm(**case.physics)
 
 
 def true_parameters(case: Case) -> dict[str, float]:

@@ -77,10 +77,10 @@ def simulated_arm(
     return ArmData(u, q, q + simulator.noise * draws[:, 1])
 
 
-def planned(rng: np.random.Generator, tables: ArmTables, sequences: int, samples: int) -> Plan:
-    """Motions at the middle of every sample, each from a random stream of its own."""
-    time = (np.arange(samples) + 0.5) * SAMPLE_TIME
-    plans = [_plan(stream, tables, time, samples * SAMPLE_TIME) for stream in rng.spawn(sequences)]
+def planned(rng: np.random.Generator, tables: ArmTables, sequences: int, samples: int, dt: float = SAMPLE_TIME) -> Plan:
+    """Motions at the middle of every sample of dt, s, each from a random stream of its own."""
+    time = (np.arange(samples) + 0.5) * dt
+    plans = [_plan(stream, tables, time, samples * dt) for stream in rng.spawn(sequences)]
     return Plan(*(np.stack(signal) for signal in zip(*plans, strict=True)))
 
 
