@@ -14,7 +14,7 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
-from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques, fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Samples, Torques, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
 from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
 from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select, with_everything
@@ -169,7 +169,8 @@ def _search(
     notify(f"evidence: inverse dynamics, {reading.words}")
     motion = reading.of(setup.estimation)
     tried = finalists(search._replace(samples=samples_of(_few(motion, _FINAL), fastest)), tried)
-    search = search._replace(samples=samples_of(_few(motion, _SAMPLES), fastest))
+    # Where the smoothed friction of effects is not yet whole they would make good for it, one in place of another.
+    search = search._replace(samples=samples_of(_few(motion, _SAMPLES), fastest, SMOOTHED))
     inside = _plausible(near(problem, tried[0].structure), fastest)
     return reading, search._replace(torques=replace(model, problem=inside)), tried
 

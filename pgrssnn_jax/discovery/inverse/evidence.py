@@ -19,12 +19,14 @@ from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem
+from pgrssnn_jax.effects.arm_common import STANDSTILL
 from pgrssnn_jax.effects.base import Effect, points_changed
 from pgrssnn_jax.physics.arms.points import ArmPoints
 from pgrssnn_jax.physics.arms.residual import required_torque, torque_residual, torque_slope
 from pgrssnn_jax.physics.base import Physics, extension_of
 
 _STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slower, it stands still
+SMOOTHED = 3 * STANDSTILL  # rad/s: from here on the smoothed dry friction of an effect is 99.5 % of its own
 _CERTAIN = 3.0  # standard deviations of a speed whose sign is known
 _LEAST_BLOCKS = 24
 _AT_ONCE = 16  # derivatives that one program computes: one program for all
@@ -58,15 +60,17 @@ class Samples(NamedTuple):
         return [regime for regime in (moving & counted, ~moving & counted) if regime.any()]
 
 
-def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"]) -> Samples:
-    """fastest: speed of every joint that standstill is relative to. Blocks are sequences, or parts of few ones."""
+def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"], least: float = 0.0) -> Samples:
+    """fastest: speed of every joint that standstill is relative to; least: speed below which any joint counts as at
+    rest, rad/s. Blocks are sequences, or parts of few ones."""
     sequences, time, n = motion.v.shape
     pieces = -(-_LEAST_BLOCKS // sequences)
     within = np.minimum(np.arange(time) * pieces // time, pieces - 1)
     blocks = (np.arange(sequences)[:, None] * pieces + within).ravel()
     reading, v, a, torque = (np.ascontiguousarray(one.reshape(-1, n).T) for one in motion[:4])
-    hidden = _CERTAIN * motion.unsure > _STILL * fastest
-    slow = np.where(hidden, _CERTAIN * motion.unsure, _STILL * fastest)
+    still = np.maximum(_STILL * fastest, least)
+    hidden = _CERTAIN * motion.unsure > still
+    slow = np.where(hidden, _CERTAIN * motion.unsure, still)
     moving = np.abs(v) > slow[:, None]
     return Samples(reading, v, a, torque, blocks, moving, moving | ~hidden[:, None], time, slow)
 

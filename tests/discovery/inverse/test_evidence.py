@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_logs import DT, KUKA, log
 
-from pgrssnn_jax.discovery.inverse.evidence import fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.motion import motion_of, thinned
 from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.effects.systems import catalogue
@@ -69,6 +69,14 @@ def test_joints_of_an_unknown_direction_do_not_count(noise):
     assert not samples.counted.all()
     assert right[samples.counted].mean() > 0.997  # three standard deviations
     assert right[~samples.counted].mean() < 0.97
+
+
+def test_slow_joints_count_as_at_rest():
+    motion = motion_of(log(0), DT, at_rest=False)
+    samples = samples_of(motion, fastest_of(motion), SMOOTHED)
+    assert (samples.slow >= SMOOTHED).all()
+    np.testing.assert_array_equal(samples.moving, np.abs(samples.v) > samples.slow[:, None])
+    assert samples.moving.sum() < samples_of(motion, fastest_of(motion)).moving.sum()
 
 
 def _lost(motion):
