@@ -20,7 +20,7 @@ INTERRUPTED = 130
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 _NO_ENTRY = (errno.EACCES, errno.EPERM)
 _MEMORY_ENDED = "expected enough memory to go on, found none left; complete files stay"
-_IN_ONE_PIECE = threading.Lock()  # of what goes to stderr: threads of libraries write tracebacks in many pieces
+_IN_ONE_PIECE = threading.RLock()  # of what goes to stderr: threads of libraries write tracebacks in many pieces
 _NO_MEMORY = ("RESOURCE_EXHAUSTED", "Out of memory", "bad_alloc", "can't start new thread", os.strerror(errno.ENOMEM))
 
 
