@@ -1,8 +1,11 @@
 """What the tests demand beyond what users do is demanded."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commands import ROOT
 from jaxtyping import Float, TypeCheckError, jaxtyped
 from typechecking import checked
 
@@ -38,3 +41,20 @@ def test_functions_inside_of_others_are_checked_by_their_own_annotations_each_ti
 def test_arrays_are_not_broadcast_by_rank():
     with pytest.raises(ValueError, match="rank"):
         jnp.zeros(3) + jnp.zeros((2, 3))
+
+
+@pytest.mark.parametrize(("marks", "until", "begins"), [
+    ({"slow"}, "0", False), ({"slow"}, "inf", True), ({"slow"}, None, True), (set(), "0", True),
+])  # fmt: skip
+def test_only_slow_tests_are_left_out_for_want_of_time_and_each_is_named(request, monkeypatch, marks, until, begins):
+    path = str(ROOT / "tests/conftest.py")
+    (conftest,) = (one for one in request.config.pluginmanager.get_plugins() if getattr(one, "__file__", "") == path)
+    monkeypatch.delenv("SLOW_TESTS_UNTIL", raising=False)
+    if until is not None:
+        monkeypatch.setenv("SLOW_TESTS_UNTIL", until)
+    item = SimpleNamespace(nodeid="a_test", get_closest_marker=lambda name: name in marks)
+    if begins:
+        conftest.pytest_runtest_setup(item)
+    else:
+        with pytest.raises(pytest.skip.Exception, match="a_test"):
+            conftest.pytest_runtest_setup(item)

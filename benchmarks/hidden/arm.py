@@ -21,7 +21,8 @@ from .case import Case, measured, rms, streams
 CATALOGUE = arm_effects.CATALOGUE
 TRAIN, TEST, SECONDS = 12, 4, 30.0
 SAMPLE_TIMES = (0.1, 0.05, 0.02, 0.01)  # s
-_QUICK = 5  # sub-steps where only the size of an error counts
+_SUB_STEPS = 5  # in 0.1 s, of the physics that is given, and where only the size of an error counts
+_FAR = 1.0  # rad: nobody runs an arm whose controller is wrong about gravity or a zero by so much
 
 
 def build(
@@ -47,7 +48,7 @@ def build(
         sizes |= size
     effects = effects._replace(memory=effects.memory * dt / SAMPLE_TIME)
     plan = planned(rng["input"], known, TRAIN + TEST, round(SECONDS / dt), dt)
-    structural = max(abs(sizes.get("tilt", 0.0)), np.abs(effects.home).max()) > 1.0
+    structural = max(abs(sizes.get("tilt", 0.0)), np.abs(effects.home).max()) > _FAR
     u, clean = controlled(
         known._replace(gravity=tables.gravity) if structural else known, tables, effects, plan, dt,
         effects.home if structural else 0.0,
@@ -55,7 +56,7 @@ def build(
     y = clean + noise * rng["noise"].standard_normal(clean.shape)
     channels = ([Channel(f"{what}_{i + 1}", unit) for i in range(known.n)] for what, unit in _SIGNALS)
     info = RecordInfo(*(tuple(c) for c in channels), dt, "simulated", f"arm, {seed}")
-    without = free_run(known, Effects(), u[TRAIN:], dt, _QUICK)
+    without = free_run(known, Effects(), u[TRAIN:], dt, _SUB_STEPS)
     return Case(
         system="arm",
         seed=seed,
@@ -64,7 +65,7 @@ def build(
         removed=removed,
         magnitudes=sizes,
         noise=noise,
-        physics={"dt": dt, "sub_steps": max(1, round(_QUICK * dt / SAMPLE_TIME)), **(physics or {})},
+        physics={"dt": dt, "sub_steps": max(1, round(_SUB_STEPS * dt / SAMPLE_TIME)), **(physics or {})},
         train=measured(u[:TRAIN], y[:TRAIN], info),
         test=measured(u[TRAIN:], y[TRAIN:], info),
         floor=rms(y[TRAIN:] - clean[TRAIN:]),

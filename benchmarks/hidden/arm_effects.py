@@ -38,11 +38,11 @@ CATALOGUE = Catalogue(
     family={"coulomb_friction": ("stribeck_friction", "stiction")},
     recalibrated=("viscous_friction", "coulomb_friction"),  # both are parameters of the base physics
 )
-FRICTION = 0.1  # relative error of every known friction number, at most
+_FRICTION = 0.1  # relative error of every known friction number, at most
 
 _BIAS = np.array([5.0, 60.0, 30.0, 2.0, 4.0, 1.0])  # Nm, the least; the largest is four times as large
 _LOAD_RADIUS = 0.15  # m, of a solid ball
-_STRUCTURAL = 0.5  # of the wrong gravities and zeros: half a turn, a quarter turn
+_STRUCTURAL = 0.5  # share of the wrong gravities, of the wrong zeros: half a turn, a quarter turn
 Change = tuple[ArmTables, Effects, dict[str, Any]]
 
 
@@ -155,7 +155,7 @@ def _ripple(rng: np.random.Generator, tables: ArmTables, effects: Effects) -> Ch
 
 def rubbing(rng: np.random.Generator, tables: ArmTables) -> ArmTables:
     """Every friction number as far from what is known as load, warmth and age bring it."""
-    off = 1 + rng.uniform(-FRICTION, FRICTION, (2, tables.n))
+    off = 1 + rng.uniform(-_FRICTION, _FRICTION, (2, tables.n))
     return tables._replace(viscous=off[0] * tables.viscous, coulomb=off[1] * tables.coulomb)
 
 

@@ -23,7 +23,6 @@ from pgrssnn_jax.cli.process import (
     refusal,
     say,
     stop_signal,
-    whole_tracebacks,
     write_line,
 )
 from pgrssnn_jax.training.run_lock import locked
@@ -83,7 +82,7 @@ def call(main: Callable[[], None]) -> None:
     main_thread = threading.current_thread() is threading.main_thread()
     before = signal.signal(signal.SIGTERM, signal.default_int_handler) if main_thread else None  # also between jobs
     try:
-        with ended_without_memory(), whole_tracebacks():
+        with ended_without_memory():
             main()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)

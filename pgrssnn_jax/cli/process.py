@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
 BAD_INPUT = 2
@@ -106,22 +106,6 @@ def ended_without_memory() -> Iterator[None]:
     finally:
         sys.unraisablehook = previous
         errors.put(None)
-
-
-@contextmanager
-def whole_tracebacks() -> Iterator[None]:
-    """Inside, an error that a thread of a library prints is written in one piece."""
-    previous = sys.excepthook
-
-    def show(kind: type[BaseException], problem: BaseException, trace: TracebackType | None) -> None:
-        with _IN_ONE_PIECE:
-            previous(kind, problem, trace)
-
-    sys.excepthook = show
-    try:
-        yield
-    finally:
-        sys.excepthook = previous
 
 
 def say(sentence: str) -> int:

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from pgrssnn_jax.cli.process import Interrupted, ended_at_once, ended_without_memory, say, stop_signal, whole_tracebacks
+from pgrssnn_jax.cli.process import Interrupted, ended_at_once, ended_without_memory, say, stop_signal
 
 NO_MORE_MEMORY = """
 import resource, threading, time
@@ -123,35 +123,22 @@ def test_errors_of_finalizers_are_reported_as_before():
         sys.unraisablehook = before
 
 
-def in_pieces(begun):
-    def report(*_) -> None:
+def test_a_sentence_does_not_run_into_what_a_finalizer_reports(capsys, monkeypatch):
+    begun = threading.Event()
+
+    class Broken:
+        def __del__(self) -> None:
+            raise ValueError("a finalizer")
+
+    def in_pieces(error) -> None:
         sys.stderr.write("    a line")
         begun.set()
         time.sleep(0.2)
         sys.stderr.write(" of a traceback\n")
 
-    return report
-
-
-def test_a_sentence_does_not_run_into_what_a_finalizer_reports(capsys, monkeypatch):
-    class Broken:
-        def __del__(self) -> None:
-            raise ValueError("a finalizer")
-
-    monkeypatch.setattr(sys, "unraisablehook", in_pieces(begun := threading.Event()))
+    monkeypatch.setattr(sys, "unraisablehook", in_pieces)
     with ended_without_memory():
         Broken()
         assert begun.wait(10)
         say("the sentence")
-    assert capsys.readouterr().err == "    a line of a traceback\nerror: the sentence\n"
-
-
-def test_a_sentence_does_not_run_into_what_a_thread_prints(capsys, monkeypatch):
-    monkeypatch.setattr(sys, "excepthook", in_pieces(begun := threading.Event()))
-    with whole_tracebacks():
-        thread = threading.Thread(target=lambda: sys.excepthook(ValueError, ValueError("a thread"), None))
-        thread.start()
-        assert begun.wait(10)
-        say("the sentence")
-        thread.join()
     assert capsys.readouterr().err == "    a line of a traceback\nerror: the sentence\n"
