@@ -25,9 +25,10 @@ test: install
 	$(BIN)/python -m pytest
 
 # First what mostly compiles, with little optimisation; then the others by file, because tests of a file share programs.
+# A failure in the first part does not hide those in the second.
 test-slow: install
-	$(BIN)/python -m pytest -m compiles
-	$(BIN)/python -m pytest -m "slow and not compiles" --dist loadfile
+	$(BIN)/python -m pytest -m compiles; compiles=$$?; \
+	$(BIN)/python -m pytest -m "slow and not compiles" --dist loadfile && exit $$compiles
 
 test-all: install
 	$(BIN)/python -m pytest -m ""

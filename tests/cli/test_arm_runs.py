@@ -19,6 +19,10 @@ def metrics_of(run) -> dict:
     return json.loads((run.path / "metrics.json").read_text())
 
 
+def predictions_of(run) -> dict:
+    return run.read_arrays("predictions.npz")
+
+
 ARMS = [name for name in config_names("physics") if name.startswith("arm")]
 
 
@@ -37,7 +41,7 @@ def test_both_backends_predict_the_same_untrained_arm_that_starts_at_rest_at_zer
     found = []
     for backend in ("jax", "pinocchio"):
         overrides = [*SMALL, "model=physics_only", f"physics.backend={backend}"]
-        arrays = np.load(trained(tmp_path / backend, "+experiment=robot_real", *overrides).path / "predictions.npz")
+        arrays = predictions_of(trained(tmp_path / backend, "+experiment=robot_real", *overrides))
         assert not arrays["x0"].any()
         found.append(arrays["y_hat"])
     np.testing.assert_allclose(*found, atol=2e-4)  # rad; float32, and friction switches its sign at standstill
@@ -53,7 +57,7 @@ def test_the_pinocchio_backend_trains_on_two_devices(tmp_path):
 def test_a_trained_run_shows_the_arm(tmp_path):
     run = trained(tmp_path / "run", "+experiment=robot_real", *SMALL, *TINY, "physics.physics_gradient=stopped")
     assert metrics_of(run)["summary"]["finished"] == 2
-    arrays = np.load(run.path / "predictions.npz")
+    arrays = predictions_of(run)
     for name in ("measured", "predicted"):
         assert arrays[f"skeleton_{name}"].shape == (2, 25, 8, 3)
     assert np.isfinite(arrays["skeleton_predicted"]).all()
@@ -76,7 +80,7 @@ def test_published_scaling_gives_velocities_the_positions_units_and_starts_at_th
     np.testing.assert_array_equal(scaling.offset[:, 6:], scaling.offset[:, :6])
     np.testing.assert_array_equal(scaling.scale[:, 6:], scaling.scale[:, :6])
     run = trained(tmp_path / "run", "+experiment=robot_simulated", *overrides, "model=physics_only")
-    np.testing.assert_allclose(np.load(run.path / "predictions.npz")["x0"][0, 0], scaling.offset[0], rtol=1e-6)
+    np.testing.assert_allclose(predictions_of(run)["x0"][0, 0], scaling.offset[0], rtol=1e-6)
 
 
 def write_arm_csv(path, *, degrees=False, joints=6):
@@ -100,7 +104,7 @@ def test_own_arm_data_comes_as_columns_and_what_was_not_measured_has_no_pose(tmp
     metrics = metrics_of(run)
     assert metrics["summary"]["finished"] == 1
     assert {output["unit"] for output in metrics["outputs"]} == {"rad"}
-    poses = np.load(run.path / "predictions.npz")["skeleton_measured"]
+    poses = predictions_of(run)["skeleton_measured"]
     assert np.isfinite(poses[0]).all()
     assert np.isnan(poses[1, -10:]).any(axis=(1, 2)).all()
 
@@ -146,7 +150,7 @@ def test_a_urdf_of_a_gripper_is_one_sentence(tmp_path):
 @pytest.mark.compiles
 def test_an_estimated_start_is_found_through_the_arm(tmp_path):
     overrides = [*SMALL, "model=physics_only", "initial_state=estimated", "n_init=3", "data.n_test=1"]
-    x0 = np.load(trained(tmp_path / "run", "+experiment=robot_real", *overrides).path / "predictions.npz")["x0"]
+    x0 = predictions_of(trained(tmp_path / "run", "+experiment=robot_real", *overrides))["x0"]
     assert np.isfinite(x0).all()
     assert np.abs(x0[0, 0, :6]).max() < 0.02  # rad; the generated arm starts at zero, its encoder errs by 1e-4
 
