@@ -58,6 +58,10 @@ def _certainty(discovery: Discovery) -> Iterator[str]:
     low, high = map(facts.real, gap.get("improvement_interval") or (None, None))
     if math.isfinite(low + high):
         yield f"The test {metric} falls by {number(low)} to {number(high, unit)} (95 %) below the recalibrated physics."
+    gain = gap.get("likelihood_gain") or {}
+    value, error = map(facts.real, (gain.get("value"), gain.get("std_error")))
+    if effects and math.isfinite(value + error):
+        yield f"The log-likelihood of the test record rises by {number(value)} ± {number(error)} with the effects."
     threshold = (discovery.get("null") or {}).get("threshold")
     if threshold is not None and not effects:
         least = percent(threshold)

@@ -37,6 +37,13 @@ def test_the_first_screen_answers_what_how_sure_how_much_and_what_next():
         assert all(line in answer for line in lines), (question, answer)
 
 
+def test_a_gain_of_the_test_record_in_the_likelihood_is_told_where_torques_are_compared():
+    gap = TANK[0]["gap"] | {"likelihood_gain": {"value": 644.3, "std_error": 83.1}}
+    for effects, said in ((TANK[0]["effects"], True), ([], False)):
+        lines = answers(TANK[0] | {"gap": gap, "effects": effects})["How sure is it?"]
+        assert ("The log-likelihood of the test record rises by 644.3 ± 83.10 with the effects." in lines) is said
+
+
 @pytest.mark.parametrize("name", SAD)
 def test_every_question_has_an_answer(name):
     for question, lines in answers(SAD[name][0]).items():

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques, samples_of
+from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Errors, Samples, Torques, samples_of
+from pgrssnn_jax.discovery.inverse.fit import Gain, gain
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.records.record import continues, join
@@ -29,14 +30,15 @@ class Stage(NamedTuple):
 
 
 class Compared(NamedTuple):
-    """The models on one record. improvement, change: 95 % intervals of the fall of the error from recalibrated and from
-    nominal to after; spread: standard deviation of the torques that errors are relative to, Nm."""
+    """The models on one record. gains: of the final model over each, in the log-likelihood; improvement: 95 % interval
+    of the fall of the error from recalibrated to after; spread: standard deviation of the torques that errors are
+    relative to, Nm."""
 
     motion: Motion
     spread: Float[np.ndarray, " n"]
     models: Mapping[str, Stage]
+    gains: Mapping[str, Gain]
     improvement: tuple[float, float]
-    change: tuple[float, float]
 
 
 def spreads(setup: Setup) -> dict[str, Float[np.ndarray, " n"]]:
@@ -54,29 +56,27 @@ def compared(
     fastest: Float[np.ndarray, " n"],
     numbers: Mapping[str, Float[np.ndarray, " p"]],
     spread: Float[np.ndarray, " n"],
+    kappa: Float[np.ndarray, " n"],
 ) -> Compared:
-    samples = samples_of(motion, fastest)
-    stages = {name: _stage(model, samples, motion, theta, spread) for name, theta in numbers.items()}
+    """numbers: θ before, recalibrated and after."""
+    samples, judged = samples_of(motion, fastest), samples_of(motion, fastest, SMOOTHED)
+    errors = {name: model.errors(theta, samples) for name, theta in numbers.items()}
+    stages = {name: _stage(error, samples, motion, spread) for name, error in errors.items()}
     drawn = _resampled(samples, motion, [stage.torque for stage in stages.values()], spread)
     stages = {
         name: stage._replace(interval=_interval(errors))
         for (name, stage), errors in zip(stages.items(), drawn, strict=True)
     }
-    return Compared(motion, spread, stages, _interval(drawn[1] - drawn[2]), _interval(drawn[0] - drawn[2]))
+    gains = {name: gain(one, errors["after"], judged, kappa) for name, one in errors.items()}
+    return Compared(motion, spread, stages, gains, _interval(drawn[1] - drawn[2]))
 
 
 def error_of(model: Torques, one: Compared, fastest: Float[np.ndarray, " n"], theta: Float[np.ndarray, " p"]) -> float:
-    return _stage(model, samples_of(one.motion, fastest), one.motion, theta, one.spread).error
+    samples = samples_of(one.motion, fastest)
+    return _stage(model.errors(theta, samples), samples, one.motion, one.spread).error
 
 
-def _stage(
-    model: Torques,
-    samples: Samples,
-    motion: Motion,
-    theta: Float[np.ndarray, " p"],
-    spread: Float[np.ndarray, " n"],
-) -> Stage:
-    error = model.errors(theta, samples)
+def _stage(error: Errors, samples: Samples, motion: Motion, spread: Float[np.ndarray, " n"]) -> Stage:
     regimes = (np.ones_like(samples.moving), samples.moving, ~samples.moving)
     with np.errstate(invalid="ignore", divide="ignore"):
         rms = [np.sqrt((error**2 * among).sum(1) / among.sum(1)) / spread for among in regimes]

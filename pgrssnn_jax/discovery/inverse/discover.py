@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
 from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Samples, Torques, fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.fit import Gain
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
 from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
 from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select, with_everything
@@ -35,6 +36,7 @@ _OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spect
 _GAIN = 0.5
 _IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
 _FAST = 0.2  # of a joint's highest speed
+_CONFIRMED = 1.96  # standard errors of a gain on the test record: 95 %
 _SHORTEST = 50  # samples: what a filter forwards and backwards takes at its ends, several times
 _ENDS = 4  # of the samples that a filter loses at the ends
 
@@ -60,8 +62,9 @@ class Reading(NamedTuple):
 class Found(NamedTuple):
     """theta: nominal, recalibrated and final numbers, by stage; active: places of the effects in θ; friction: places of
     own numbers that left their prior, by the effect that has their law; std: of the last two stages; p_values; without:
-    test error without each effect; shift: samples between a torque and its motion; floor: what noise alone leaves;
-    freedom: degrees of it, of the deviations."""
+    test error without each effect; shift: samples between a torque and its motion; gain: in the log-likelihood of the
+    test record, from what was recalibrated, or from what was given where friction alone has left its prior; floor: what
+    noise alone leaves; freedom: degrees of it, of the deviations."""
 
     problem: Problem
     verdict: Verdict
@@ -75,6 +78,7 @@ class Found(NamedTuple):
     shift: float
     train: Compared
     test: Compared
+    gain: Gain
     floor: float
     freedom: float
     seconds: Mapping[str, float]
@@ -134,13 +138,16 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         theta = {"before": problem.theta} | {name: wrapped(problem, fit.theta) for name, fit in fits.items()}
         read = {"train": reading.of(setup.estimation), "test": reading.of(setup.test)}
         scale = spreads(setup)
-        train, test = (compared(model, motion, fastest, theta, scale[part]) for part, motion in read.items())
+        train, test = (
+            compared(model, motion, fastest, theta, scale[part], chosen.kappa) for part, motion in read.items()
+        )
         without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
+        gain = test.gains["recalibrated" if active else "before"]
         floor = _floor(model, setup, train, samples, last.theta)
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
-        verdict=_verdict(setup, chosen, active, friction, train, test, floor),
+        verdict=_verdict(setup, chosen, active, friction, train, test, gain, floor),
         chosen=chosen,
         theta=theta,
         std=std,
@@ -151,6 +158,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         shift=reading.shift,
         train=train,
         test=test,
+        gain=gain,
         floor=floor,
         freedom=samples.blocks - 1.0,
         seconds=seconds,
@@ -234,12 +242,19 @@ def _floor(model: Torques, setup: Setup, train: Compared, samples: Samples, thet
 
 
 def _verdict(
-    setup: Setup, selection: Chosen, active: Active, friction: Active, train: Compared, test: Compared, floor: float
+    setup: Setup,
+    selection: Chosen,
+    active: Active,
+    friction: Active,
+    train: Compared,
+    test: Compared,
+    gain: Gain,
+    floor: float,
 ) -> Verdict:
     criteria = setup.settings.criteria
     before, recalibrated, after = (test.models[name].error for name in ("before", "recalibrated", "after"))
     if active or friction:  # friction that the physics knows is refitted in the recalibrated model as well
-        if (test.improvement if active else test.change)[0] <= 0.0 or after >= 1.0:
+        if not gain.clear(_CONFIRMED) or after >= 1.0:
             return Verdict.NOT_CONFIRMED
         ambiguous = set(active) & STRUCTURE and rival_structures(selection)
         return Verdict.AMBIGUOUS if ambiguous else Verdict.EFFECT_FOUND

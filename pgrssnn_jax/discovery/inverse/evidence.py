@@ -1,6 +1,6 @@
 """The evidence of inverse dynamics: by how much the torque that a model asks for misses the one that was measured.
 
-    e(θ) = D⁻¹ (τ(θ; q, q̇, u) - M q̈ - h)        motor torque, Nm; zero where the model is right (`arms/residual.py`)
+    e(θ) = u - û(θ; q, q̇, q̈)        motor torque, Nm; zero where the model is right (`arms/residual.py`)
 
 q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
 Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any

@@ -4,8 +4,7 @@
 
 Where nobody says a cut-off, it is the highest frequency at which the spectrum of a position is ten times its floor (the
 median of the upper fifth), the median over the joints: a derivative has the same ratio of signal to noise at every
-frequency. Torques go
-stay as they were measured: their noise is no regressor.
+frequency. Torques stay as they were measured: their noise is no regressor.
 Source: Gautier, Vandanjon, Presse, Identification of inertial and drive gain parameters of robots, CDC 1994.
 """
 
@@ -23,7 +22,9 @@ _OPEN = 0.8  # of the highest frequency: with a cut-off above it nothing is filt
 _ORDER = 4
 _SPLINE = 3  # samples at an end where a spline of degree 5 is no better than its last knots
 _SMOOTHED = 5  # lines of a spectrum, so that a line by chance is none
-_SEGMENT = 512  # samples of a spectrum at most
+_SEGMENT = (
+    512  # samples of a spectrum, or half a record where that is longer: faster sampling shows no less of a motion
+)
 PerSample = Float[np.ndarray, "seq time n"]
 
 
@@ -94,10 +95,9 @@ def thinned(motion: Motion, step: int) -> Motion:
 
 
 def spectrum_of(y: PerSample, dt: float) -> tuple[float, Float[np.ndarray, " n"]]:
-    """The cut-off, Hz, and the floor of the spectra, rad²/Hz."""
-    f, power = scipy.signal.welch(
-        y, 1 / dt, window="blackmanharris", nperseg=min(_SEGMENT, y.shape[1]), axis=1, detrend="linear"
-    )
+    """The cut-off, Hz, and the floor of the spectra, rad²/Hz. Of whole sequences: parts of them would resolve a slow
+    motion the less, the faster it is sampled."""
+    f, power = scipy.signal.periodogram(y, 1 / dt, window="blackmanharris", axis=1, detrend="linear")
     power = scipy.ndimage.uniform_filter1d(power.mean(0), _SMOOTHED, axis=0, mode="nearest")
     floor = np.median(power[f > _FLOOR * f[-1]], axis=0)
     above = power > _RATIO * floor

@@ -84,6 +84,7 @@ def _gap(found: Found) -> dict[str, Any]:
         **{stage: {part: models[part][stage].error for part in models} for stage in stages},
         "test_interval": {stage: list(models["test"][stage].interval) for stage in stages},
         "improvement_interval": list(found.test.improvement),
+        "likelihood_gain": {"value": found.gain.value, "std_error": found.gain.error},
         "pooled": {stage: _pooled(found.test, stage) for stage in stages},
         "n_init": 0,
         "floor": found.floor,

@@ -1,10 +1,10 @@
 """Torque residual of an arm's model: the applied torque minus the one that the measured motion requires.
 
-    e = D⁻¹ (τ(q, q̇, drive(u)) - M q̈ - h)        D = ∂τ/∂u: motor torque, Nm; zero where the model is right
+    e = u - û,   τ(q, q̇, drive(û)) = M q̈ + h        motor torque, Nm; zero where the model is right
 
 What a step adds to the velocities after its torques have acted, S times the velocity of the sample before, say, is
-divided by dt and subtracted from q̈. drive(u) is assumed to be linear in u, and τ of a joint to depend on no other
-joint's drive. Samples are columns, `[n, batch]`.
+divided by dt and subtracted from q̈. drive(u) is assumed to be linear in u; τ of a joint to depend on no other joint's
+drive, to grow with its own, and to be linear in it on either side of zero. Samples are columns, `[n, batch]`.
 """
 
 from functools import partial
@@ -38,8 +38,13 @@ def torque_residual(points: ArmPoints, p: Any, required: Batch, reading: Batch, 
     q = jax.vmap(points.position, (None, 1), 1)(p, reading)
     drive = jax.vmap(points.drive, (None, 1), 1)(p, u)
     torque = partial(jax.vmap(points.torque, (None, 1, 1, 1), 1), p, q, v)
-    given, passed_on = jax.jvp(torque, (drive,), (jnp.ones_like(drive),))
-    return jnp.linalg.solve(drive_slope(points, p, u[:, 0]), (given - required) / passed_on)
+
+    def step(needed: Batch) -> Batch:
+        given, passed_on = jax.jvp(torque, (needed,), (jnp.ones_like(drive),))
+        return needed - (given - required) / passed_on
+
+    # The first step finds the side of zero: that of the measured torque would tell what is to be predicted.
+    return jnp.linalg.solve(drive_slope(points, p, u[:, 0]), drive - step(step(drive)))
 
 
 def drive_slope(points: ArmPoints, p: Any, u: Float[jax.Array, " n"]) -> Float[jax.Array, "n n"]:

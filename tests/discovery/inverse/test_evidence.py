@@ -83,14 +83,27 @@ def _lost(motion):
     return (300 - motion.v.shape[1]) // 2
 
 
-def test_derivatives_are_those_of_finite_differences(physics):
-    """At numbers at which every effect acts."""
+def where_everything_acts(physics):
+    """A problem, and numbers at which every effect acts."""
     problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
-    model, samples = torques(problem), some(log(1))
     rng = np.random.default_rng(0)
     theta = problem.theta + np.abs(rng.normal(size=len(problem.theta))) * 0.05
     theta = problem.put(theta, "gravity_counterbalance", {"moment": 500.0, "angle": 0.3})
-    theta = problem.put(theta, "payload", {"mass": 40.0, "distance": 0.2, "x": 0.1, "y": -0.1, "gyration": 0.2})
+    return problem, problem.put(theta, "payload", {"mass": 40.0, "distance": 0.2, "x": 0.1, "y": -0.1, "gyration": 0.2})
+
+
+def test_the_torque_that_is_asked_for_does_not_depend_on_the_measured_one(physics):
+    """With friction that grows with the torque, too: which side of zero a torque is on is part of the prediction."""
+    problem, theta = where_everything_acts(physics)
+    model, samples = torques(problem), some(log(1))
+    other = samples._replace(torque=-2 * samples.torque)
+    asked = [one.torque - model.errors(theta, one) for one in (samples, other)]
+    np.testing.assert_allclose(*asked, atol=1e-9 * np.abs(asked[0]).max())
+
+
+def test_derivatives_are_those_of_finite_differences(physics):
+    (problem, theta), samples = where_everything_acts(physics), some(log(1))
+    model = torques(problem)
     places = np.concatenate([problem.of(None), *(problem.of(effect.name) for effect in problem.effects)])
     found = model.derivatives(theta, samples, places)
     for k, place in enumerate(places):

@@ -30,6 +30,17 @@ def test_the_noise_of_accelerations_is_what_the_spectrum_says(noise):
     assert found.cutoff > 0.23 / 2
 
 
+@pytest.mark.parametrize("faster", [5, 10])
+def test_the_cut_off_of_a_motion_is_that_of_any_sampling(faster):
+    """Noise of equal power per Hz."""
+    dt, rng = DT / faster, np.random.default_rng(0)
+    time = dt * np.arange(300 * faster)
+    clean = sum(np.sin(2 * np.pi * f * time[:, None] + rng.uniform(0, 6, (8, 1, 3))) / f for f in (0.05, 0.1, 0.2))
+    noisy = clean + 0.01 * np.sqrt(faster) * rng.normal(size=clean.shape)
+    (often, _), (seldom, _) = spectrum_of(noisy, dt), spectrum_of(noisy[:, ::faster], DT)
+    assert often < 1.3 * seldom  # noise of the thinned positions is larger per Hz: their cut-off is no higher
+
+
 def test_the_floor_of_a_spectrum_is_that_of_white_noise():
     y = 0.01 * np.random.default_rng(0).normal(size=(20, 1000, 2))
     _, floor = spectrum_of(y, DT)
