@@ -19,6 +19,7 @@ from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, fitted, gain, linear_fi
 from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, span_of
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.settings import Criteria
+from pgrssnn_jax.effects.base import Effect, Numbers
 
 _KNOWN = {"viscous_friction": "B", "coulomb_friction": "Tc"}  # effects whose law is that of a number of the physics
 _FINALISTS = 4
@@ -135,14 +136,27 @@ def with_everything(
 ) -> Model:
     """All effects beside the structure, but for those named in `without` and the elaborate ones, of which only those
     come in that predict: masses of all links beside a gain have no scale. begun: numbers of a fit to other samples."""
-    problem, span = search.problem, span_of(search.samples)
+    problem = search.problem
     theta, structure = _placed(problem, best)
     active = dict(structure)
     for effect in problem.effects:
         if not (effect.elaborate or effect.name in (*STRUCTURE, *without) or _is_own(problem, effect.name)):
             active[effect.name] = problem.of(effect.name)
-            theta = problem.put(theta, effect.name, effect.guesses(span)[0])
+            if begun is None:
+                theta = problem.put(theta, effect.name, _best_guess(search, best, effect))
     return Model(search.fit(theta if begun is None else begun, active), active)
+
+
+def _best_guess(search: Search, best: Tried, effect: Effect) -> Numbers:
+    """From where a fit of one effect beside the structure predicts best: a spring that pulls cannot turn into one that
+    pushes on its way."""
+    guesses = effect.guesses(span_of(search.samples))
+    if len(guesses) == 1:
+        return guesses[0]
+    theta, structure = _placed(search.problem, best)
+    active = {**structure, effect.name: search.problem.of(effect.name)}
+    fits = [search.linear(search.problem.put(theta, effect.name, numbers), active) for numbers in guesses]
+    return guesses[max(range(len(fits)), key=lambda k: search.gain(fits[0], fits[k]).value)]
 
 
 def _plainer(problem: Problem, name: str) -> list[str]:

@@ -73,7 +73,7 @@ def best_structures(
         at = theta
         for name, numbers in structure.numbers().items():
             at = problem.put(at, name, numbers)
-        inside = replace(torques, problem=near(problem, structure))
+        inside = replace(torques, problem=_either_way(near(problem, structure)))
         error, derivatives = torques.errors(at, samples), torques.derivatives(at, samples, places)
         weight = regime_weight(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
         rough = linear_fit(inside, samples, at, places, error, derivatives, weight, folds)
@@ -127,12 +127,19 @@ def near(problem: Problem, structure: Structure) -> Problem:
     return replace(problem, low=low, high=high)
 
 
+def _either_way(problem: Problem) -> Problem:
+    """A counterbalance may push as well as pull: one step from where it begins cannot turn its angle round."""
+    low = problem.low.copy()
+    low[[slot.path == ("gravity_counterbalance", "moment") for slot in problem.slots]] = -np.inf
+    return replace(problem, low=low)
+
+
 def wrapped(problem: Problem, theta: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
     """The same angles between -π and π."""
+    names = {GRAVITY, HOME, "gravity_counterbalance"} & {effect.name for effect in problem.effects}
+    places = [i for name in names for i in problem.of(name) if problem.slots[i].meaning.unit == "rad"]
     found = theta.copy()
-    for name in STRUCTURE & {effect.name for effect in problem.effects}:
-        places = problem.of(name)
-        found[places] -= 2 * np.pi * np.round(theta[places] / (2 * np.pi))
+    found[places] -= 2 * np.pi * np.round(theta[places] / (2 * np.pi))
     return found
 
 

@@ -31,12 +31,14 @@ def log(
     bias=0.0,
     friction=1.0,
     load=0.0,
+    balance: tuple[float, float] = (0.0, 0.0),
     noise: float = 1e-5,
     torque_noise: float = 0.02,
     model=None,
 ) -> Record:
     """Motor torques of the joint angles; encoders read them `home` later. Torque and reading belong to one moment: the
-    torque of a row acts before its reading, so that they are half a sample apart at most."""
+    torque of a row acts before its reading, so that they are half a sample apart at most. balance: moment, Nm, and
+    angle, rad, of a spring at the second joint."""
     rng = np.random.default_rng(seed)
     q, v, a = path(rng, sequences, samples)
     model = pinocchio_model(tables) if model is None else model
@@ -45,6 +47,7 @@ def log(
     moved = np.stack([pin.rnea(model, data, *one).copy() for one in flat]).reshape(q.shape)
     rubbed = tables.gear**2 * tables.viscous * v + np.abs(tables.gear) * tables.coulomb * np.sign(v)
     rest = moved + friction * rubbed - bias
+    rest[..., 1] += balance[0] * np.sin(q[..., 1] - balance[1])
     drive = rest / (1 - load * np.sign(v * rest))  # drive - load |drive| sign(v) = rest
     u = drive / (gain * tables.gear) + torque_noise * rng.normal(size=q.shape)
     y = q + home + noise * rng.normal(size=q.shape)

@@ -100,6 +100,16 @@ def test_single_effects_are_named_with_their_joints(name, changes, key, value):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("angle", [-3.0, 1.5])
+def test_a_spring_that_pushes_is_no_other_structure(angle):
+    found = discovered(balance=(2400.0, angle), noise=1e-3)
+    assert [effect.name for effect in found.effects] == ["gravity_counterbalance"]
+    spring = numbers(found)["gravity_counterbalance"]
+    assert spring["moment"] == pytest.approx(2400.0, rel=0.03)
+    assert spring["angle"] == pytest.approx(angle, abs=0.03)
+
+
+@pytest.mark.slow
 def test_what_the_user_leaves_out_is_neither_named_nor_untestable():
     nominal, changes = pg.physics.arm(gravity=tuple(KUKA.gravity)), {"bias": np.array([0, 150.0, -80.0, 0, 0, 0])}
     records = log(1, **changes), log(2, sequences=3, **changes)
