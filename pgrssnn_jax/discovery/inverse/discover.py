@@ -20,6 +20,7 @@ from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, devia
 from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
 from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select, with_everything
 from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, best_structures, near, wrapped
+from pgrssnn_jax.discovery.inverse.unnamed import Unnamed, unnamed
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -61,7 +62,8 @@ class Reading(NamedTuple):
 
 class Found(NamedTuple):
     """theta: nominal, recalibrated and final numbers, by stage; active: places of the effects in θ; friction: places of
-    own numbers that left their prior, by the effect that has their law; std: of the last two stages; p_values; without:
+    own numbers that left their prior, by the effect that has their law; nameless: what follows the motion and no effect
+    explains; std: of the last two stages; p_values; without:
     test error without each effect; shift: samples between a torque and its motion; gain: in the log-likelihood of the
     test record, from what was recalibrated, or from what was given where friction alone has left its prior; floor: what
     noise alone leaves; freedom: degrees of it, of the deviations."""
@@ -73,6 +75,7 @@ class Found(NamedTuple):
     std: Mapping[str, Float[np.ndarray, " p"]]
     active: Active
     friction: Active
+    nameless: Unnamed | None
     p_values: Mapping[str, float]
     without: Mapping[str, float]
     shift: float
@@ -124,7 +127,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
     # Thousands of small products: threads of BLAS wait for each other longer than they compute where cores are busy.
     with jax.enable_x64(True), threadpool_limits(1, user_api="blas"):
         problem = build_problem(setup.physics, judged(setup.physics, setup.candidates), accelerate=False)
-        problem = _held(problem, setup.settings.tolerance)
+        problem = _plausible(_held(problem, setup.settings.tolerance), fastest)
         model = torques(problem)
         reading, search, tried = _search(model, setup, motion, notify)
         chosen = select(search, tried, notify)
@@ -133,6 +136,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         fits = {"recalibrated": chosen.recalibrated, "after": last}
         std = {name: deviations(problem, fit, samples) for name, fit in fits.items()}
         friction = changed_friction(search._replace(kappa=chosen.kappa), chosen.final, std["after"], FRICTION)
+        nameless = unnamed(search, chosen)
         p_values = chances(problem, samples, chosen, setup.settings.seed)
         told = time.perf_counter()
         theta = {"before": problem.theta} | {name: wrapped(problem, fit.theta) for name, fit in fits.items()}
@@ -147,12 +151,13 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
-        verdict=_verdict(setup, chosen, active, friction, train, test, gain, floor),
+        verdict=_verdict(setup, chosen, active, friction, nameless, train, test, gain, floor),
         chosen=chosen,
         theta=theta,
         std=std,
         active=active,
         friction=friction,
+        nameless=nameless,
         p_values=p_values,
         without=without,
         shift=reading.shift,
@@ -179,14 +184,15 @@ def _search(
     tried = finalists(search._replace(samples=samples_of(_few(motion, _FINAL), fastest)), tried)
     # Where the smoothed friction of effects is not yet whole they would make good for it, one in place of another.
     search = search._replace(samples=samples_of(_few(motion, _SAMPLES), fastest, SMOOTHED))
-    inside = _plausible(near(problem, tried[0].structure), fastest)
+    inside = near(problem, tried[0].structure)
     return reading, search._replace(torques=replace(model, problem=inside)), tried
 
 
 def _plausible(problem: Problem, fastest: Float[np.ndarray, " n"]) -> Problem:
     """A lubricant's film builds up while a joint is slow: a Stribeck speed beyond that is other friction."""
     high = problem.high.copy()
-    high[[slot.path == ("stribeck_friction", "speed") for slot in problem.slots]] = _FAST * fastest.max()
+    speed = [slot.path == ("stribeck_friction", "speed") for slot in problem.slots]
+    high[speed] = np.maximum(problem.low[speed], _FAST * fastest.max())
     return replace(problem, high=high)
 
 
@@ -213,11 +219,11 @@ def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Readi
     measured, whatever the motion was filtered by. A gain is left out, because it imitates a shift,
     and so are slow samples: where a joint turns round, a controller's torque is late by itself."""
     fastest, dt = fastest_of(motion), setup.physics.dt
-    begun = with_everything(search, best, _IMITATE).fit.theta
+    begun = with_everything(search, best, _IMITATE)
 
     def missed(reading: Reading) -> float:
         samples = samples_of(_few(reading.of(setup.estimation), _COARSE), fastest)
-        error = with_everything(search._replace(samples=samples), best, _IMITATE, begun).fit.error
+        error = search._replace(samples=samples).linear(begun.fit.theta, begun.active).error
         fast = np.abs(samples.v) > _FAST * fastest[:, None]
         return float(np.mean([np.log(np.mean(e[among] ** 2)) for e, among in zip(error, fast, strict=True)]))
 
@@ -246,12 +252,15 @@ def _verdict(
     selection: Chosen,
     active: Active,
     friction: Active,
+    nameless: Unnamed | None,
     train: Compared,
     test: Compared,
     gain: Gain,
     floor: float,
 ) -> Verdict:
     criteria = setup.settings.criteria
+    if nameless is not None:
+        return Verdict.UNKNOWN_EFFECT
     before, recalibrated, after = (test.models[name].error for name in ("before", "recalibrated", "after"))
     if active or friction:  # friction that the physics knows is refitted in the recalibrated model as well
         if not gain.clear(_CONFIRMED) or after >= 1.0:

@@ -109,18 +109,30 @@ def linear_fit(
 def gain(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> Gain:
     """Of left-out errors over others."""
     by_joint = gains_by_block(before, after, samples, remembered)
-    by_block = by_joint.sum(0)
-    fall = by_joint.sum(1) * remembered / before.shape[1]
-    return Gain(float(by_block.sum()), float(by_block.std(ddof=1) * len(by_block) ** 0.5), float(fall.max()))
+    falls = by_joint.sum(1) * remembered / before.shape[1]
+    return Gain(float(by_joint.sum()), _deviation(by_joint.sum(0)), float(falls.max()))
+
+
+def joint_gains(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> list[Gain]:
+    """The same of every joint alone."""
+    by_joint = gains_by_block(before, after, samples, remembered)
+    falls = by_joint.sum(1) * remembered / before.shape[1]
+    return [Gain(float(one.sum()), _deviation(one), float(fall)) for one, fall in zip(by_joint, falls, strict=True)]
+
+
+def _deviation(by_block: Float[np.ndarray, " block"]) -> float:
+    """Of the sum."""
+    return float(by_block.std(ddof=1) * len(by_block) ** 0.5)
 
 
 def gains_by_block(
     before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n block"]:
-    """The σ of a joint in a regime are those of each model."""
+    """Of the samples in which a joint moves, if there are any: at rest, friction holds it against any torque within its
+    reach, and whatever asks for less torque there would seem to predict. σ of a joint is that of each model."""
     by_block = np.zeros((len(remembered), samples.blocks))
     for joint, kappa in enumerate(remembered):
-        for regime in samples.regimes(joint):
+        for regime in samples.regimes(joint)[:1]:
             one, other = (e[joint, regime] ** 2 for e in (before, after))
             old, new = one.mean(), other.mean()
             if not old > 0 or not new > 0:

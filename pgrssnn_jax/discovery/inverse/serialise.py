@@ -11,6 +11,7 @@ from pgrssnn_jax.discovery.inverse.discover import Found, rival_structures
 from pgrssnn_jax.discovery.inverse.judge import departed
 from pgrssnn_jax.discovery.inverse.select import own_places
 from pgrssnn_jax.discovery.inverse.serialise_effects import closed_on_test, findings
+from pgrssnn_jax.discovery.inverse.unnamed import Unnamed
 from pgrssnn_jax.discovery.serialise_numbers import about_data
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -42,7 +43,7 @@ def torques_json(found: Found, setup: Setup, *, command: str) -> dict[str, Any]:
         "untestable": _untestable(found, setup),
         "formula": None,
         "spectrum": None,
-        "follows": None,
+        "follows": _follows(found),
         "disagreement": [],
         "remaining": _remaining(found),
         "recalibration": _own(found, "recalibrated"),
@@ -112,6 +113,13 @@ def _joints(test: Compared) -> list[dict[str, Any]]:
         }
         for joint in range(test.motion.torque.shape[-1])
     ]
+
+
+def _follows(found: Found) -> dict[str, Any] | None:
+    if found.nameless is None:
+        return None
+    joints, share = found.nameless
+    return {"joints": [joint + 1 for joint in joints], "share": share}
 
 
 def _number(value: float) -> float | None:
@@ -224,12 +232,21 @@ def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]
     if found.verdict is Verdict.UNEXPLAINED:
         return f"Errors stand above the noise of {gap['floor']:.2g} and nothing accounts for them; {errors}. {left}"
     titles = " and ".join(_titled(effect) for effect in effects)
+    if found.nameless is not None:
+        helped = f", {after:.3g} with {titles}, which helps but does not explain it" if effects else ""
+        return f"Something is missing that no effect explains: {_nameless(found.nameless)}; {errors}{helped}. {left}"
     shown = f"{errors}, {after:.3g} with it"
     if found.verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {shown}. {left}"
     others = " (other structures predict as well)" if found.verdict is Verdict.AMBIGUOUS else ""
     share = 100 * min(gap["closed_fraction"], 1.0)
     return f"Missing: {titles}{others}; {shown} ({share:.0f} % of the gap above the noise closed). {left}"
+
+
+def _nameless(one: Unnamed) -> str:
+    which = ", ".join(str(joint + 1) for joint in one.joints)
+    joints = f"joint{'s' if len(one.joints) > 1 else ''} {which}"
+    return f"torques of {joints} follow the positions and the joint's own speed ({100 * one.share:.0f} % of the errors)"
 
 
 def _titled(effect: Mapping[str, Any]) -> str:

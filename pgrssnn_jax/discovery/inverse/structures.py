@@ -2,7 +2,8 @@
 
 Every combination is compared with all that is linear beside it free (payload, counterbalance, friction, motor inertia,
 constant torques, and angles near the quarter turns): a wrong structure hides behind such stand-ins, and a right one
-must not need them. Structures that predict as well are told apart by how little they change.
+must not need them. A structure whose angles have to leave its quarter turns is none. Structures that predict as well
+are told apart by how little they change.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,6 +26,7 @@ DIRECTIONS = ((0.0, 0.0), (np.pi, 0.0), (np.pi / 2, 0.0), (-np.pi / 2, 0.0), (0.
 BESIDE = ("torque_bias", "rotor_inertia", "payload", "gravity_counterbalance", "viscous_friction", "coulomb_friction")
 _CERTAIN = 3.0  # standard errors by which a structure that changes more must predict better
 _NEAR = 0.35  # rad from a quarter turn: 20 degrees
+_FREE = np.pi / 4  # rad from what is described, where no quarter turn is
 _TOGETHER = 2  # joints whose zeros are tried together with gravity: those behind the first carry the arm
 
 
@@ -93,7 +95,7 @@ def best_structures(
         zeros = best.structure.zeros
         others = (Structure(best.structure.tilt, (*zeros[:joint], turn, *zeros[joint + 1 :])) for turn in QUARTERS[1:])
         tried += compared(others)
-    return _ranked(tried, samples, kappa)
+    return _ranked([one for one in tried if not (one.structure.changes and _leaves(problem, one))], samples, kappa)
 
 
 def _first(n: int, names: set[str]) -> Iterator[Structure]:
@@ -113,15 +115,24 @@ def _ranked(tried: Sequence[Tried], samples: Samples, kappa: Float[np.ndarray, "
     return sorted(rivals, key=lambda one: (one.structure.changes, -one.gain.value))
 
 
+def _leaves(problem: Problem, one: Tried) -> bool:
+    """Are gravity, or zeros of the joints that carry, as far from the structure as they may be?"""
+    bounded = near(problem, one.structure)
+    names = {effect.name for effect in problem.effects}
+    places = [*problem.of(GRAVITY)] if GRAVITY in names else []
+    places += [*problem.of(HOME)][1 : 1 + _TOGETHER] if HOME in names else []
+    return bool(np.isin(one.fit.theta[places], [bounded.low[places], bounded.high[places]]).any())
+
+
 def near(problem: Problem, structure: Structure) -> Problem:
     """The problem in which zeros and gravity stay near a structure. The zero of the first joint turns the whole arm
     about gravity, and stays where it is."""
-    low, high = problem.low.copy(), problem.high.copy()
+    low, high, width = problem.low.copy(), problem.high.copy(), _NEAR if structure.changes else _FREE
     for name in STRUCTURE & {effect.name for effect in problem.effects}:
         numbers = {**problem.effect(name).neutral(), **structure.numbers().get(name, {})}
         at = problem.put(problem.theta, name, numbers)
         places = problem.of(name)
-        low[places], high[places] = at[places] - _NEAR, at[places] + _NEAR
+        low[places], high[places] = at[places] - width, at[places] + width
         if name == HOME:
             low[places[0]] = high[places[0]] = at[places[0]]
     return replace(problem, low=low, high=high)

@@ -32,13 +32,14 @@ def log(
     friction=1.0,
     load=0.0,
     balance: tuple[float, float] = (0.0, 0.0),
+    wave: float = 0.0,
     noise: float = 1e-5,
     torque_noise: float = 0.02,
     model=None,
 ) -> Record:
     """Motor torques of the joint angles; encoders read them `home` later. Torque and reading belong to one moment: the
     torque of a row acts before its reading, so that they are half a sample apart at most. balance: moment, Nm, and
-    angle, rad, of a spring at the second joint."""
+    angle, rad, of a spring at the second joint; wave: torque of the third joint that depends on its angle, Nm."""
     rng = np.random.default_rng(seed)
     q, v, a = path(rng, sequences, samples)
     model = pinocchio_model(tables) if model is None else model
@@ -48,6 +49,7 @@ def log(
     rubbed = tables.gear**2 * tables.viscous * v + np.abs(tables.gear) * tables.coulomb * np.sign(v)
     rest = moved + friction * rubbed - bias
     rest[..., 1] += balance[0] * np.sin(q[..., 1] - balance[1])
+    rest[..., 2] += wave * np.sin(4 * q[..., 2])
     drive = rest / (1 - load * np.sign(v * rest))  # drive - load |drive| sign(v) = rest
     u = drive / (gain * tables.gear) + torque_noise * rng.normal(size=q.shape)
     y = q + home + noise * rng.normal(size=q.shape)

@@ -110,6 +110,15 @@ def test_a_spring_that_pushes_is_no_other_structure(angle):
 
 
 @pytest.mark.slow
+def test_a_torque_that_no_effect_describes_is_unknown_and_its_joint_is_told():
+    found = discovered(wave=300.0)
+    assert found.verdict == "unknown_effect"
+    assert found.details["follows"]["joints"] == [3]
+    assert found.details["follows"]["share"] > 0.5
+    assert "torques of joint 3 follow the positions" in found.details["sentence"]
+
+
+@pytest.mark.slow
 def test_what_the_user_leaves_out_is_neither_named_nor_untestable():
     nominal, changes = pg.physics.arm(gravity=tuple(KUKA.gravity)), {"bias": np.array([0, 150.0, -80.0, 0, 0, 0])}
     records = log(1, **changes), log(2, sequences=3, **changes)
