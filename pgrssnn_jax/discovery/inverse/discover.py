@@ -240,7 +240,7 @@ def _floor(model: Torques, setup: Setup, train: Compared, samples: Samples, thet
     what the final model leaves: dry friction that changes its sign fills the spectrum of a torque as noise does."""
     _, floor = spectrum_of(np.asarray(setup.estimation.u, np.float64), setup.physics.dt)
     motion = train.motion
-    of_torque = floor * (motion.cutoff or 0.5 / setup.physics.dt)
+    of_torque = floor * 0.5 / setup.physics.dt  # torques are not filtered
     still = samples._replace(a=np.zeros_like(samples.a))
     inertial = ((model.errors(theta, samples) - model.errors(theta, still)) ** 2).mean(1)
     spectral = np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread

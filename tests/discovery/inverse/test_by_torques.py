@@ -68,6 +68,16 @@ def test_nothing_is_found_where_friction_is_ten_per_cent_off():
 
 
 @pytest.mark.slow
+def test_noise_of_the_torques_is_known_for_noise():
+    """All of it: positions are filtered, torques are not."""
+    noise = 0.2  # Nm
+    found = discovered(torque_noise=noise)
+    assert found.verdict == "no_discrepancy"
+    expected = np.mean([noise / joint["std"] for joint in found.details["joints"]])
+    assert found.gap["floor"] == pytest.approx(expected, rel=0.2)
+
+
+@pytest.mark.slow
 def test_inverted_gravity_and_a_turned_joint_are_found_behind_a_payload():
     """A wrong structure and what could stand in for it, both."""
     upside_down = KUKA._replace(gravity=-KUKA.gravity)
