@@ -32,9 +32,11 @@ FRICTION = {"viscous_friction": "B", "coulomb_friction": "Tc"}
 _SAMPLES, _FINAL, _COARSE = 2000, 1000, 500  # of each joint: for effects, for the best structures, for all of them
 _SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belongs to it
 _OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
-# Standard deviation of a gain from 1 before any data, weaker than any data sheet: where a description has neither
-# friction nor motor inertia, all torques of a joint could grow with its gain. 0.25 to 1 give the measured arms alike.
-_GAIN = 0.5
+# Standard deviation of a gain from 1, and of a link's mass from the described one over it, before any data: weaker than
+# any data sheet. Where a description has neither friction nor motor inertia, all torques of a joint could grow with its
+# gain. 0.25 to 1 give the measured arms alike.
+_SHARE = 0.5
+_SHARES = (("torque_gain", "gain"), ("link_mass", "share"))
 _IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
 _FAST = 0.2  # of a joint's highest speed
 _CONFIRMED = 1.96  # standard errors of a gain on the test record: 95 %
@@ -197,9 +199,10 @@ def _plausible(problem: Problem, fastest: Float[np.ndarray, " n"]) -> Problem:
 
 
 def _held(problem: Problem, tolerance: float | None) -> Problem:
-    """Every number of the physics is known relative to itself, joint by joint; None: as well as not. A gain is one."""
-    precision, gains = np.zeros(len(problem.theta)), [slot.path == ("torque_gain", "gain") for slot in problem.slots]
-    precision[gains] = 1.0 / _GAIN**2
+    """Every number of the physics is known relative to itself, joint by joint; None: as well as not. So are gains and
+    masses."""
+    precision = np.zeros(len(problem.theta))
+    precision[[slot.path in _SHARES for slot in problem.slots]] = 1.0 / _SHARE**2
     if tolerance is not None:
         own = own_places(problem)
         precision[own] = 1.0 / (tolerance * problem.theta[own]) ** 2
