@@ -149,7 +149,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         )
         without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
         gain = test.gains["recalibrated" if active else "before"]
-        floor = _floor(model, setup, train, samples, last.theta)
+        floor = _floor(model, setup, train, test, samples, last.theta)
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
@@ -238,16 +238,20 @@ def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Readi
     return min((Reading(dt, c, shift, at_rest, edge) for c in sorted(cutoffs) for shift in _SHIFTS), key=missed)
 
 
-def _floor(model: Torques, setup: Setup, train: Compared, samples: Samples, theta: Float[np.ndarray, " p"]) -> float:
+def _floor(
+    model: Torques, setup: Setup, train: Compared, test: Compared, samples: Samples, theta: Float[np.ndarray, " p"]
+) -> float:
     """What noise alone leaves, in the metric: of torques, and of accelerations by the inertia that they move. At most
-    what the final model leaves: dry friction that changes its sign fills the spectrum of a torque as noise does."""
-    _, floor = spectrum_of(np.asarray(setup.estimation.u, np.float64), setup.physics.dt)
+    what the final model leaves. Dry friction that changes its sign fills the spectrum of a torque as noise does, and
+    less that of the errors."""
     motion = train.motion
+    signals = np.asarray(setup.estimation.u, np.float64), motion.torque - train.models["after"].torque
+    floor = np.minimum(*(spectrum_of(one, setup.physics.dt)[1] for one in signals))
     of_torque = floor * 0.5 / setup.physics.dt  # torques are not filtered
     still = samples._replace(a=np.zeros_like(samples.a))
     inertial = ((model.errors(theta, samples) - model.errors(theta, still)) ** 2).mean(1)
     spectral = np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread
-    return min(float(np.mean(spectral)), train.models["after"].error)
+    return min(float(np.mean(spectral)), *(one.models["after"].error for one in (train, test)))
 
 
 def _verdict(

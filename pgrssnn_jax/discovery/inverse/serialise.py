@@ -41,7 +41,7 @@ def torques_json(found: Found, setup: Setup, *, command: str) -> dict[str, Any]:
         "effects": effects,
         "alternatives": _alternatives(found),
         "untestable": _untestable(found, setup),
-        "formula": None,
+        "formula": _nameless(found.nameless) if found.nameless else None,
         "spectrum": None,
         "follows": _follows(found),
         "disagreement": [],

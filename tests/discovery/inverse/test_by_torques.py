@@ -123,9 +123,11 @@ def test_a_spring_that_pushes_is_no_other_structure(angle):
 def test_a_torque_that_no_effect_describes_is_unknown_and_its_joint_is_told():
     found = discovered(wave=300.0)
     assert found.verdict == "unknown_effect"
+    assert found.gap["floor"] < 0.9 * found.gap["after"]["test"]
     assert found.details["follows"]["joints"] == [3]
     assert found.details["follows"]["share"] > 0.5
-    assert "torques of joint 3 follow the positions" in found.details["sentence"]
+    assert found.details["formula"].startswith("torques of joint 3 follow the positions")
+    assert found.details["formula"] in found.details["sentence"]
 
 
 @pytest.mark.slow
