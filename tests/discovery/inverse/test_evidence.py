@@ -5,6 +5,7 @@ import pytest
 from arm_logs import DT, KUKA, log
 
 from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.fit import gain
 from pgrssnn_jax.discovery.inverse.motion import motion_of, thinned
 from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.effects.systems import catalogue
@@ -77,6 +78,18 @@ def test_slow_joints_count_as_at_rest():
     assert (samples.slow >= SMOOTHED).all()
     np.testing.assert_array_equal(samples.moving, np.abs(samples.v) > samples.slow[:, None])
     assert samples.moving.sum() < samples_of(motion, fastest_of(motion)).moving.sum()
+
+
+def test_samples_at_rest_choose_nothing_where_a_joint_moves_at_all():
+    motion = motion_of(log(0), DT, at_rest=False)
+    samples = samples_of(motion, fastest_of(motion))
+    error = np.random.default_rng(0).normal(size=samples.v.shape)
+    fewer, kappa = np.where(samples.moving, error, 0.5 * error), np.ones(len(error))
+    assert not samples.moving.all()
+    assert gain(error, fewer, samples, kappa).value == 0.0
+    assert gain(error, 0.5 * error, samples, kappa).clear(3.0)
+    still = samples._replace(moving=np.zeros_like(samples.moving))
+    assert gain(error, 0.5 * error, still, kappa).clear(3.0)
 
 
 def _lost(motion):

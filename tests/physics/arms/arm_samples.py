@@ -1,12 +1,11 @@
 """Arms that several tests share, and the documented equation of the arm in plain NumPy."""
 
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from robots import published
 
 from pgrssnn_jax.physics.arms.tables import ArmTables, described, pinocchio_model
 from pgrssnn_jax.physics.arms.urdf import read_urdf
@@ -63,13 +62,6 @@ def urdf(folder: Path, joints: tuple[Joint, ...], seed: int = 3) -> Path:
     file = folder / "robot.urdf"
     file.write_text(f"<robot name='sample'>{''.join(parts)}</robot>")
     return file
-
-
-@cache
-def published(name: str) -> Path:
-    """A URDF of the pip package example-robot-data."""
-    found = (file for file in metadata.files("example-robot-data") or () if file.name == name)
-    return Path(str(next(found).locate())).resolve()
 
 
 def sample_arm(name: str, folder: Path) -> tuple[ArmTables, pin.Model]:
