@@ -64,8 +64,8 @@ def compared(
     stages = {name: _stage(error, samples, motion, spread) for name, error in errors.items()}
     drawn = _resampled(samples, motion, [stage.torque for stage in stages.values()], spread)
     stages = {
-        name: stage._replace(interval=_interval(errors))
-        for (name, stage), errors in zip(stages.items(), drawn, strict=True)
+        name: stage._replace(interval=_interval(means))
+        for (name, stage), means in zip(stages.items(), drawn, strict=True)
     }
     gains = {name: gain(one, errors["after"], judged, kappa) for name, one in errors.items()}
     return Compared(motion, spread, stages, gains, _interval(drawn[1] - drawn[2]))

@@ -64,11 +64,11 @@ class Reading(NamedTuple):
 
 class Found(NamedTuple):
     """theta: nominal, recalibrated and final numbers, by stage; active: places of the effects in θ; friction: places of
-    own numbers that left their prior, by the effect that has their law; nameless: what follows the motion and no effect
-    explains; std: of the last two stages; p_values; without:
-    test error without each effect; shift: samples between a torque and its motion; gain: in the log-likelihood of the
-    test record, from what was recalibrated, or from what was given where friction alone has left its prior; floor: what
-    noise alone leaves; freedom: degrees of it, of the deviations."""
+    own numbers that left their prior, by the effect that has their law; nameless: joints whose torques follow the
+    motion by no effect's law; std: of the last two stages; p_values; without: test error without each effect; shift:
+    samples between a torque and its motion; gain: in the log-likelihood of the test record over the recalibrated
+    physics, or over the nominal one where friction alone has left its prior; floor: error of noise alone; freedom:
+    degrees of it, of the deviations."""
 
     problem: Problem
     verdict: Verdict

@@ -108,16 +108,21 @@ def linear_fit(
 
 def gain(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> Gain:
     """Of left-out errors over others."""
-    by_joint = gains_by_block(before, after, samples, remembered)
-    falls = by_joint.sum(1) * remembered / before.shape[1]
+    by_joint, falls = _gains_and_falls(before, after, samples, remembered)
     return Gain(float(by_joint.sum()), _deviation(by_joint.sum(0)), float(falls.max()))
 
 
 def joint_gains(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> list[Gain]:
     """The same of every joint alone."""
-    by_joint = gains_by_block(before, after, samples, remembered)
-    falls = by_joint.sum(1) * remembered / before.shape[1]
+    by_joint, falls = _gains_and_falls(before, after, samples, remembered)
     return [Gain(float(one.sum()), _deviation(one), float(fall)) for one, fall in zip(by_joint, falls, strict=True)]
+
+
+def _gains_and_falls(
+    before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n block"], Float[np.ndarray, " n"]]:
+    by_joint = gains_by_block(before, after, samples, remembered)
+    return by_joint, by_joint.sum(1) * remembered / before.shape[1]
 
 
 def _deviation(by_block: Float[np.ndarray, " block"]) -> float:

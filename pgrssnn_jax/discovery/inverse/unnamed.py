@@ -53,7 +53,7 @@ def _left_out(
     error: Float[np.ndarray, " moving"],
     folds: int,
 ) -> Float[np.ndarray, " moving"]:
-    """What is left of the error of one joint."""
+    """Errors of one joint less the smooth function, each from a fit without its fold."""
     fold = samples.block[moving] % folds
     signals = np.vstack([samples.reading, samples.v[joint]])[:, moving]
     scaled = (signals - signals.mean(1, keepdims=True)) / np.maximum(signals.std(1, keepdims=True), 1e-12)
