@@ -6,16 +6,7 @@ gradient. They agree with `models/gru.py`, `models/networks.py` and `physics/arm
 precision (sigmoid and tanh to an absolute 1e-7).
 """
 
-import ctypes
-import hashlib
-import os
-import platform
-import shutil
-import subprocess
-import tempfile
 from functools import cache, partial
-from importlib import metadata
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -23,13 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.acceleration.devices import cache_folder
+from pgrssnn_jax.acceleration import build
 
-_KERNELS = Path(__file__).with_name("kernels")
-# no -ffast-math: NaN must stay NaN, and it would change the floating-point mode of the whole process
-_FLAGS = ("-std=c++17", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast")
-COMPILERS = ("c++", "g++", "clang++")
-_PATIENCE = 300  # seconds for the compiler, which takes 5 to 15
+_SOURCES = ("arm.cc", "gru.cc", "two_dense.cc")
 _TARGETS = ("gru_forward", "gru_backward", "two_dense_forward", "two_dense_backward", "arm", "arm_factors")
 MOST_JOINTS = 32  # of the kernel of arms
 
@@ -37,58 +24,8 @@ MOST_JOINTS = 32  # of the kernel of arms
 @cache
 def missing_kernels() -> str | None:
     """Compiles and registers the kernels. Returns None, or the reason why they are not available: one phrase."""
-    if jax.default_backend() != "cpu":
-        return f"the C++ kernels run on CPUs, and JAX computes on {jax.default_backend()}"
-    compiler = next(filter(None, map(shutil.which, filter(None, (os.environ.get("CXX"), *COMPILERS)))), None)
-    if compiler is None:
-        return f"no C++ compiler found (CXX, {', '.join(COMPILERS)})"
-    try:
-        library = ctypes.CDLL(str(_compiled(compiler)))
-        for name in _TARGETS:
-            handler = jax.ffi.pycapsule(getattr(library, f"pgrssnn_{name}"))
-            jax.ffi.register_ffi_target(f"pgrssnn_{name}", handler, platform="cpu")
-    except subprocess.CalledProcessError as error:
-        lines = error.stderr.splitlines()
-        said = next((line for line in lines if "error" in line), f"exit code {error.returncode}")
-        return f"{compiler} does not compile the C++ kernels: {said.strip()}"
-    except (OSError, AttributeError, RuntimeError, subprocess.TimeoutExpired) as error:
-        return f"the C++ kernels cannot be compiled or loaded: {error}"
-    return None
-
-
-def _compiled(compiler: str) -> Path:
-    """The library for these sources, compiler, processor and jaxlib, compiled if the user's cache folder lacks it."""
-    version = _run([compiler, "--version"])
-    files = sorted(_KERNELS.iterdir())
-    texts = [file.read_text() for file in files if file.suffix in (".cc", ".h")]
-    parts = (*texts, version, metadata.version("jaxlib"), *_FLAGS, _processor())
-    name = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-    library = cache_folder() / "native" / f"kernels-{name}.so"
-    if library.exists():
-        return library
-    library.parent.mkdir(parents=True, exist_ok=True)
-    sources = [str(file) for file in files if file.suffix == ".cc"]
-    with tempfile.TemporaryDirectory(dir=library.parent) as folder:  # a killed compiler leaves no half library behind
-        made = Path(folder) / library.name
-        include = ("-isystem", jax.ffi.include_dir())
-        command = [compiler, *_FLAGS, *include, "-shared", "-fPIC", *sources, "-o", str(made)]
-        _run(command)
-        made.replace(library)
-    return library
-
-
-def _run(command: list[str]) -> str:
-    """Its output. Raises `CalledProcessError` where it fails."""
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=True, timeout=_PATIENCE)
-    return done.stdout
-
-
-def _processor() -> str:
-    """What -march=native looks at: folders of a user may be shared by machines that differ."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    flags = next((line for line in lines if line.startswith(("flags", "Features"))), "")
-    return f"{platform.machine()} {platform.processor()} {flags}"
+    sources = {name: (build.KERNELS / name).read_text() for name in _SOURCES}
+    return build.missing_library("kernels", sources, ("-O3",), partial(build.register, targets=_TARGETS))
 
 
 def _call(target: str, like: Any, *arrays: Any, **attributes: Any) -> Any:

@@ -2,7 +2,7 @@
 
 Batched over fits, a state of a few entries becomes an array `[fit, entry]`, and XLA concatenates and scatters rows of
 two numbers. Written out, every operation acts on one number of all fits, `[fit]`: 24 free runs of the tanks, with 14
-derivatives apiece, take 25 ms instead of 47 (two cores).
+derivatives apiece, take 25 ms instead of 47 (two cores). Where there is a compiler, `scalar_code.py` makes C++ of it.
 """
 
 from collections.abc import Callable, Iterator, Sequence

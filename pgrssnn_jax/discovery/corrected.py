@@ -1,4 +1,4 @@
-"""Problems with a nonparametric correction beside the catalogue.
+"""Problems with a nonparametric correction beside effects that are already there.
 
     x_i ← x_i + dt f(s)      u_j ← u_j + f(u_j)      y_k ← y_k + f(y_k)      f = Σ c_j φ_j
 
@@ -6,6 +6,7 @@ One effect for all equations and signals: which ones is a matter of numbers that
 program fits any of them. Corrections by the history of an input remember it and have programs of their own.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,14 +28,15 @@ class Corrected:
 
     built: dict[tuple[tuple[str, ...], str], Problem] = field(default_factory=dict)
 
-    def by(self, problem: Problem, name: str) -> Problem:
-        """The problem with one family of corrections (`flexible.families`); see `numbers_of` for which one it is."""
+    def by(self, problem: Problem, name: str, active: Sequence[str]) -> Problem:
+        """The physics with these effects of the problem and one family of corrections (`flexible.families`); see
+        `numbers_of` for which one it is. Without the rest of the catalogue it is soon compiled."""
         own = _effect_of(problem.physics, name)
-        return self._kept(problem, own.name, (*problem.effects, own))
+        return self._kept(problem, own.name, (*map(problem.effect, active), own))
 
-    def by_all(self, problem: Problem) -> Problem:
+    def by_all(self, problem: Problem, active: Sequence[str]) -> Problem:
         """With every family as an effect of its own."""
-        return self._kept(problem, "all", (*problem.effects, *flexible_effects(problem.physics)))
+        return self._kept(problem, "all", (*map(problem.effect, active), *flexible_effects(problem.physics)))
 
     def with_catalogue(self, problem: Problem, effects: tuple[Effect, ...]) -> Problem:
         """With another catalogue."""

@@ -179,7 +179,8 @@ def _elaborate_counts(named: Named, whole: Problem, setup: Setup) -> bool:
 def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Judged:
     """Nonparametric corrections beside the names, and the verdict on the estimation record."""
     problem, how, known, nominal, selection = named
-    corrections = Corrections(problem, corrected, known, how.signals, how.settings)
+    active = tuple(sorted({*selection.final.estimate.active, *selection.last.base.estimate.active}))
+    corrections = Corrections(problem, corrected, active, known, how.signals, how.settings)
     nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
     before = evaluate(problem, how.signals(problem), nominal)
     rms = (before.cost / selection.first.size) ** 0.5

@@ -12,6 +12,7 @@ from pgrssnn_jax.discovery.spectrum import spectral_line
 from pgrssnn_jax.effects.base import SignalRange
 
 _FEW = 2  # guesses per device, up to which a program of few lanes is the faster one
+_FEW_COMPILED = 8  # lanes of the small program of compiled free runs: vectors of 4 or 8 numbers on every device
 
 
 class Settings(NamedTuple):
@@ -32,9 +33,12 @@ class Settings(NamedTuple):
     def roughly(self) -> "Settings":
         return self._replace(steps=self.rough, tolerance=self.rough_tolerance)
 
-    def at_once(self, signals: Signals, count: int) -> int:
-        """Lanes of the program for so many fits. One sequence is so little work that empty lanes cost less than a
-        second program: 24 lanes take 25 ms a step, 2 take 12 (the tanks)."""
+    def at_once(self, problem: Problem, signals: Signals, count: int) -> int:
+        """Lanes of the program for so many fits. Compiled lanes cost what they compute. By XLA one sequence is so
+        little work that empty lanes cost less than a second program: 24 lanes take 25 ms a step, 2 take 12 (the
+        tanks)."""
+        if problem.code.compiled is not None:
+            return min(_FEW_COMPILED, self.lanes) if count <= _FEW_COMPILED else self.lanes
         few = count <= _FEW * self.devices and len(signals.u) > 1
         return min(self.devices, self.lanes) if few else self.lanes
 
@@ -76,7 +80,7 @@ def fit_all(
     """Every guess fitted, with its cost; lanes are filled up so that two programs serve all calls, one of them for few
     guesses. only_start: θ stays, x_0 alone is fitted."""
     found: list[tuple[Guess, float]] = []
-    at_once = settings.at_once(signals, len(guesses))
+    at_once = settings.at_once(problem, signals, len(guesses))
     for i in range(0, len(guesses), at_once):
         part = list(guesses[i : i + at_once])
         count = len(part)

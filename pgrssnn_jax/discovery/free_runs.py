@@ -24,6 +24,8 @@ Along = Callable[[Any, Any, jax.Array], tuple[Rows, Rows]]
 def free_run(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
     """y `[time, y, seq, lane]` and x `[time, x, seq, lane]` (state after u_t) from u `[time, u, seq]`, θ `[p, lane]`
     and x_0 `[x, seq, lane]`."""
+    if code.compiled is not None:
+        return code.compiled.run(u, theta, x0)
     step, measure = (_batched(code, f) for f in (code.full.step, code.full.measure))
     after = _after(code)
 
@@ -39,6 +41,8 @@ def with_derivatives(
 ) -> tuple[jax.Array, jax.Array]:
     """y `[time, y, seq, lane]` and dy `[time, y, k + s, seq, lane]`; free `[lane, k]`: positions in θ, -1 for none;
     s: unknowns of the start."""
+    if code.compiled is not None:
+        return code.compiled.along(u, theta, x0, free)
     after, (n_x, seq, lanes), k, starts = _after(code), x0.shape, free.shape[1], by_start(code)
     chosen = jnp.where(free.T[None] == jnp.arange(len(theta))[:, None, None], 1.0, 0.0)  # [p, k, lane]
     dtheta = jnp.pad(chosen, ((0, 0), (0, starts.shape[1]), (0, 0)))

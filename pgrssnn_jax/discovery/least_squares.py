@@ -92,7 +92,7 @@ def _worth_it(code: Code, devices: int, limits: Limits, rule: StopRule, lanes: L
     """Will a program of so many lanes, written out in numbers, make up for the time that it takes to compile well?"""
     if not code.accelerate:
         return True
-    return code.written_out is not None and len(lanes.theta) > _FEW * devices
+    return code.written_out is not None and code.compiled is None and len(lanes.theta) > _FEW * devices
 
 
 def _shares(lanes: Lanes, devices: int) -> bool:

@@ -34,7 +34,7 @@ def runs(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings:
     if not guesses:
         return []
     found = []
-    at_once = settings.at_once(signals, len(guesses))
+    at_once = settings.at_once(problem, signals, len(guesses))
     for i in range(0, len(guesses), at_once):
         part = list(guesses[i : i + at_once])
         padded = part + [part[-1]] * (at_once - len(part))

@@ -24,20 +24,21 @@ CURVED = 2.0  # times what its linear response promises, at most, is what a fitt
 
 
 class Corrections(NamedTuple):
-    """problem: without corrections; corrected: those with one; known: puts the prior of the physics on them; signals:
-    of any problem."""
+    """problem: without corrections; corrected: those with one, beside the effects `active`; known: puts the prior of
+    the physics on them; signals: of any problem."""
 
     problem: Problem
     corrected: Corrected
+    active: tuple[str, ...]
     known: Callable[[Problem], Problem]
     signals: Callable[[Problem], Signals]
     settings: Settings
 
     def by(self, name: str) -> Problem:
-        return self.known(self.corrected.by(self.problem, name))
+        return self.known(self.corrected.by(self.problem, name, self.active))
 
     def by_all(self) -> Problem:
-        return self.known(self.corrected.by_all(self.problem))
+        return self.known(self.corrected.by_all(self.problem, self.active))
 
 
 def score_corrections(

@@ -7,6 +7,7 @@ so that one compiled program fits any choice of effects: a fit is told which num
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int
 
+from pgrssnn_jax.acceleration.compiled_runs import FreeRuns, Sizes, compiled_free_runs
 from pgrssnn_jax.acceleration.scalars import Program, written_out
 from pgrssnn_jax.effects.base import Effect, SignalRange, WithEffects, add, effects_of, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
@@ -47,6 +49,16 @@ class Code:
     free_start: Bool[np.ndarray, " x"]
     written_out: tuple[Program, Program] | None
     accelerate: bool = True
+
+    @cached_property
+    def compiled(self) -> FreeRuns | None:
+        """Free runs in C++, where the functions are written out and there is a compiler."""
+        if self.written_out is None or not self.accelerate:
+            return None
+        full, p = self.full, ravel_pytree(self.full.params)[0].size
+        start = tuple(map(int, np.flatnonzero(self.free_start)))
+        sizes = Sizes(p, len(full.states), len(full.inputs), len(full.outputs), start)
+        return compiled_free_runs(*self.written_out, sizes, full.output_timing == "after_step")
 
 
 @dataclass(frozen=True, eq=False)

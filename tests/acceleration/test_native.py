@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from pgrssnn_jax.acceleration.native import COMPILERS, missing_kernels, two_dense
+from pgrssnn_jax.acceleration.build import COMPILERS
 from pgrssnn_jax.acceleration.native import gru_scan as gru_kernel
+from pgrssnn_jax.acceleration.native import missing_kernels, two_dense
 from pgrssnn_jax.models.gru import gru_scan
 
 needs_kernel = pytest.mark.skipif(missing_kernels() is not None, reason=f"no kernel: {missing_kernels()}")

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from acceleration.functions import FUNCTIONS
 from toys import toy_physics
 
 from pgrssnn_jax.acceleration.scalars import written_out
@@ -16,34 +17,11 @@ from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
-MATRIX = np.random.default_rng(0).normal(size=(4, 3))
-
 
 @pytest.fixture(autouse=True)
 def double_precision():
     with jax.enable_x64(True):
         yield
-
-
-def outer_and_inner(a: jax.Array, b: jax.Array) -> jax.Array:
-    return (jnp.outer(a, b) @ b).ravel() + jnp.tensordot(a, a, 1)
-
-
-FUNCTIONS = {
-    "elementwise": lambda a, b: jnp.where(a > b[0], jnp.exp(a), jnp.sqrt(jnp.abs(a) + 1.0)) ** 2 - jnp.tanh(b[1]) / 3,
-    "clipped": lambda a, b: jnp.clip(a, b.min(), 0.4) + jnp.maximum(a, 0.1) * jnp.sign(a),
-    "power": lambda a, b: (jnp.abs(a) + 0.1) ** b[0],
-    "matrix": lambda a, b: MATRIX @ a + (a @ MATRIX.T)[::-1],
-    "product": outer_and_inner,
-    "joined": lambda a, b: jnp.concatenate([jnp.stack([b, b[::-1]]).T.ravel(), a[1:], a[:1]]),
-    "placed": lambda a, b: a.at[1].add(b[0]).at[0].set(b[1]).at[2].min(b[0]).at[2].max(-1.0).at[0].multiply(2.0),
-    "placed side by side": lambda a, b: a.at[1:].add(b).at[:2].multiply(b) + jnp.zeros(3).at[:].set(a).at[:2].min(-b),
-    "reduced": lambda a, b: jnp.stack([a.sum(), a.max(), jnp.outer(a, b).min(0)[1], jnp.outer(a, b).sum((0, 1))]),
-    "interpolated": lambda a, b: jnp.maximum(0.0, 1.0 - jnp.abs(jnp.arange(3.0) - b[0])) * a,
-    "split": lambda a, b: sum(jnp.split(jnp.concatenate([a, b, a]), 2)) * jnp.repeat(b, 2),
-    "passed on": lambda a, b: jnp.array([1.0, 2.0, 3.0]) + 0.0 * b[0] + a,
-    "nested": lambda a, b: jax.jit(lambda c: jnp.broadcast_to(c[None], (2, 3)).reshape(-1))(a) * jnp.repeat(b, 3),
-}
 
 
 def numbers(seed: int, shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
@@ -111,7 +89,7 @@ def programs(plant: str):
     """The problem with the whole catalogue, and its derivatives by numbers and by arrays, which serve every seed."""
     physics = PLANTS[plant]()
     problem = build_problem(physics, catalogue(physics))
-    codes = (problem.code, replace(problem.code, written_out=None))
+    codes = (replace(problem.code, accelerate=False), replace(problem.code, written_out=None))
     return problem, *(jax.jit(partial(with_derivatives, code)) for code in codes)
 
 

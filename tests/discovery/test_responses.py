@@ -50,7 +50,7 @@ def test_columns_are_the_derivatives_of_free_runs(build):
         assert set(found) == set(families(physics))
         draw, corrected = np.random.default_rng(1), Corrected()
         for name, response in found.items():
-            wide = corrected.by(problem, name)
+            wide = corrected.by(problem, name, guess.active)
             start = weighted_signals(wide, small_record(signals.u[0], signals.y[0]), folds=2, block=10).start
             theta, x0 = carried(problem, wide, guess.theta, guess.x0, start)
             effect, numbers = numbers_of(physics, name, response.low, response.high)
@@ -77,5 +77,7 @@ def test_programs_are_shared_by_corrections_of_all_equations():
     physics = tanks()
     with jax.enable_x64(True):
         problem, corrected = build_problem(physics, []), Corrected()
-        one, other = (corrected.by(problem, name) for name in ("upper_level by lower_level", "pump_voltage by itself"))
+        one, other = (
+            corrected.by(problem, name, []) for name in ("upper_level by lower_level", "pump_voltage by itself")
+        )
     assert one.code is other.code

@@ -96,6 +96,6 @@ def test_effects_and_zeros_are_not_held_and_a_matrix_is_by_its_largest_entry():
 
 def test_what_is_fixed_stays_fixed_beside_corrections_without_a_name():
     physics = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
-    held, free = (Corrected().by_all(build_problem(physics, (), fixed=f, accelerate=False)) for f in (["B"], []))
+    held, free = (Corrected().by_all(build_problem(physics, (), fixed=f, accelerate=False), []) for f in (["B"], []))
     assert {held.slots[i].path[0] for i in held.of(None)} == {"A", "C"}
     assert {free.slots[i].path[0] for i in free.of(None)} == {"A", "B", "C"}

@@ -1,0 +1,25 @@
+// What a program for free runs is given, and what it fills. Arrays are dense, lanes last:
+//
+//   theta [p, lane]   x0 [x, seq, lane]   u [time, u, seq]   free [lane, k]: positions in theta, -1 for none
+//   y [time, y, seq, lane]   x [time, x, seq, lane]: after u_t   dy [time, y, k + s, seq, lane], s: unknowns of the start
+
+#pragma once
+
+#include <cstdint>
+
+struct Task {
+  int64_t lanes, seqs, time, free_count;
+  const double *u, *theta, *x0;
+  const int64_t* free;
+  double *y, *x, *dy;
+};
+
+struct Sizes {
+  int64_t p, x, u, y, start;
+};
+
+struct FreeRuns {
+  Sizes sizes;
+  void (*run)(const Task&);
+  void (*along)(const Task&);
+};
