@@ -9,6 +9,7 @@ free runs of the tanks with 13 derivatives apiece take 12 ms instead of 85 on on
 import ctypes
 import hashlib
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from typing import NamedTuple
 
@@ -74,33 +75,38 @@ def compiled_free_runs(step: Program, measure: Program, sizes: Sizes, after_step
     except UnknownOperationError:
         return None
     number = int.from_bytes(hashlib.sha256((text + build.headers()).encode()).digest()[:7])
-    runs = FreeRuns(number, sizes)
-    return None if _kernel() is None or _missing(number, text) else runs
+    return None if _missing(number, text) else FreeRuns(number, sizes)
 
 
 @cache
-def _kernel() -> ctypes.CDLL | None:
-    """Compiles and registers the kernel that knows the programs."""
+def _missing(number: int, text: str) -> str | None:
+    """Compiles a physics and, at the same time, the kernel that is to know it."""
+    kernel = _kernel()
+
+    def use(library: ctypes.CDLL) -> None:
+        table = ctypes.c_char.in_dll(library, "pgrssnn_free_runs")
+        kernel.result().pgrssnn_register(ctypes.c_int64(number), ctypes.byref(table))
+
+    return build.missing_library("physics", {"physics.cc": text}, ("-O2",), use)
+
+
+@cache
+def _kernel() -> Future[ctypes.CDLL]:
+    return ThreadPoolExecutor(1).submit(_compiled_kernel)
+
+
+def _compiled_kernel() -> ctypes.CDLL:
+    """Raises `RuntimeError` where it is not to be had."""
     found: list[ctypes.CDLL] = []
 
     def use(library: ctypes.CDLL) -> None:
         build.register(library, _TARGETS)
         found.append(library)
 
-    build.missing_library("free_runs", {"free_runs.cc": (build.KERNELS / "free_runs.cc").read_text()}, ("-O3",), use)
-    return found[0] if found else None
-
-
-@cache
-def _missing(number: int, text: str) -> str | None:
-    kernel = _kernel()
-    assert kernel is not None
-
-    def use(library: ctypes.CDLL) -> None:
-        table = ctypes.c_char.in_dll(library, "pgrssnn_free_runs")
-        kernel.pgrssnn_register(ctypes.c_int64(number), ctypes.byref(table))
-
-    return build.missing_library("physics", {"physics.cc": text}, ("-O2",), use)
+    text = (build.KERNELS / "free_runs.cc").read_text()
+    if missing := build.missing_library("free_runs", {"free_runs.cc": text}, ("-O1",), use):
+        raise RuntimeError(missing)
+    return found[0]
 
 
 def _source(step: Program, measure: Program, sizes: Sizes, after_step: bool) -> str:

@@ -21,7 +21,7 @@ def check_physics(setup: Setup) -> None:
     """Raises `ValueError` when the nominal physics cannot be simulated over the record, or where its derivatives by a
     parameter or a state are not finite: no fit could move them. Those of the library's own physics are."""
     with jax.enable_x64(True):
-        problem = build_problem(setup.physics, ())
+        problem = build_problem(setup.physics, (), accelerate=False)  # one run is not worth a compiler
         record = scoring(problem, setup.estimation, setup.settings, setup.start, np.random.default_rng(0))
         signals = record.signals(problem)
         y, x = simulate(problem, signals.u, problem.theta[None], signals.start[None])
