@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
+from jaxtyping import Float
 
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models
@@ -68,7 +69,8 @@ def final_numbers(problem: Problem, how: Scoring, selection: Selection, toleranc
 
     def settled(model: Model) -> tuple[Problem, Model]:
         held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings)
-        return held, fitted_models(held, signals, [guess], settings, block)[0]
+        (fitted,) = fitted_models(held, signals, [guess], settings, block)
+        return held, fitted._replace(deviation=_deviation(held, signals, guess, settings))
 
     held, final = settled(selection.final)
     _, recalibrated = settled(selection.recalibrated) if selection.screenings else (held, final)
@@ -76,6 +78,16 @@ def final_numbers(problem: Problem, how: Scoring, selection: Selection, toleranc
     without = {name: guess for name, (guess, _) in zip(without, fitted, strict=True)}
     unseen = undetermined(held, signals, final.estimate.guess, settings)
     return Numbers(recalibrated, final, without, departures(held, final), unseen)
+
+
+def _deviation(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Float[np.ndarray, " p"]:
+    """Of θ, for intervals."""
+    (run,) = runs(problem, signals, [guess], settings)
+    at, free = linearisation(problem, signals, guess, run)
+    found, _ = likelihood.deviations(at, likelihood.noise_of(at), problem.noise)
+    deviation = np.zeros(len(guess.theta))
+    deviation[free] = found[: len(free)]
+    return deviation
 
 
 def most_likely(

@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 from scipy.signal import lfilter
 
-from pgrssnn_jax.discovery.likelihood import Linearisation, covariance, left_out, noise_of
+from pgrssnn_jax.discovery.likelihood import Linearisation, covariance, deviations, left_out, noise_of
 from pgrssnn_jax.discovery.problem import ALWAYS
 
 SAMPLES = 400
@@ -69,6 +69,56 @@ def test_deviations_are_those_of_many_records_and_intervals_cover(kind, off, cov
     np.testing.assert_allclose(np.sqrt((deviation**2).mean(0)), found.std(0), rtol=off)
     assert inside.mean() >= covered
     assert inside.mean() <= 0.98
+
+
+@pytest.mark.parametrize(
+    ("kind", "by_colour", "by_both"),
+    [("white", (0.91, 0.98), (0.93, 0.99)), ("AR(0.9)", (0.86, 0.96), (0.88, 0.98)), ("lags", (0, 0.86), (0.88, 0.98))],
+)
+def test_intervals_cover_also_where_no_colour_describes_the_errors(kind, by_colour, by_both):
+    """Lags: a disturbance and the inputs pass the same ten, so that errors and sensitivities have the same modes, more
+    than an autoregression has poles."""
+
+    def lagged(drive: np.ndarray) -> np.ndarray:
+        return lfilter([1.0], np.poly([0.8] * 10), drive)
+
+    draw, records = np.random.default_rng(5), 150
+    inside = np.zeros((records, 2, 3), bool)
+    for i in range(records):
+        columns = lagged(draw.standard_normal((3, SAMPLES))).T if kind == "lags" else regressors()
+        error = lagged(np.random.default_rng(i).standard_normal(SAMPLES)) if kind == "lags" else errors(kind, i)
+        found = np.linalg.lstsq(columns, error, rcond=None)[0]
+        at = linearised(error - columns @ found, columns)
+        noise = noise_of(at)
+        sandwich, freedom = covariance(at, noise, 1.0)
+        deviation = np.stack([np.sqrt(np.diag(sandwich)), deviations(at, noise, 1.0)[0]])
+        inside[i] = np.abs(found) <= stats.t.ppf(0.975, freedom) * deviation
+    for covered, (least, most) in zip(inside.mean((0, 2)), (by_colour, by_both), strict=True):
+        assert least <= covered <= most
+
+
+def test_the_jackknife_is_silent_where_one_block_says_almost_everything():
+    """The third regressor moves in one eighth of the record alone."""
+    columns = regressors()
+    columns[:, 2] *= np.arange(SAMPLES) // (SAMPLES // 8) == 3
+    at = linearised(errors("white", 0), columns)
+    sandwich, _ = covariance(at, noise_of(at), 1.0)
+    assert deviations(at, noise_of(at), 1.0)[0][2] == pytest.approx(np.sqrt(sandwich[2, 2]))
+
+
+def test_whole_sequences_are_left_out_where_there_are_enough_of_them():
+    """Sixteen sequences in two halves of eight: two at a time."""
+    rng, columns = np.random.default_rng(2), regressors() - [0.0, *regressors()[:, 1:].mean(0)]
+    error = rng.standard_normal((16, SAMPLES)) + 0.5 * rng.standard_normal((16, 1))  # sequences differ in their mean
+    many = np.broadcast_to(columns, (16, SAMPLES, 3))[:, :, None]
+    at = Linearisation(error[..., None], many, np.ones((16, SAMPLES, 1), bool), np.zeros(3), np.zeros(3))
+    noise = noise_of(at)
+    pairs = error.reshape(8, 2, SAMPLES)
+    means = np.array([np.delete(pairs, b, 0).mean() for b in range(8)])
+    expected = np.sqrt(7 / 8 * ((means - error.mean()) ** 2).sum())
+    freedom = covariance(at, noise, 1.0)[1]
+    wider = stats.t.ppf(0.975, 7) / stats.t.ppf(0.975, freedom)
+    assert deviations(at, noise, 1.0)[0][0] == pytest.approx(wider * expected, rel=0.1)
 
 
 def test_a_prior_that_is_much_surer_than_the_data_decides():
