@@ -24,7 +24,7 @@ from pgrssnn_jax.discovery.noise import autoregression, correlation_time
 _ROUNDS = 3  # of Cochrane and Orcutt: with one, 10 % of tests at the 5 % level reject in AR(0.9) noise
 _RIDGE = 1e-10  # of a column's energy
 _TINY = 1e-300
-_BLOCKS = 8  # of the jackknife, in a record
+_BLOCKS = 8  # of the jackknife, in a record; of 360 parameters 93, 95, 93, 93, 89 % are covered with 6, 8, 12, 20, 40
 _SAID_BY_ONE = 2.0  # growth of a variance without one block, above which the jackknife cannot judge a number
 
 

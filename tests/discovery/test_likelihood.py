@@ -107,7 +107,7 @@ def test_the_jackknife_is_silent_where_one_block_says_almost_everything():
 
 
 def test_whole_sequences_are_left_out_where_there_are_enough_of_them():
-    """Sixteen sequences in two halves of eight: two at a time."""
+    """Sixteen sequences, two left out at a time."""
     rng, columns = np.random.default_rng(2), regressors() - [0.0, *regressors()[:, 1:].mean(0)]
     error = rng.standard_normal((16, SAMPLES)) + 0.5 * rng.standard_normal((16, 1))  # sequences differ in their mean
     many = np.broadcast_to(columns, (16, SAMPLES, 3))[:, :, None]
