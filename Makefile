@@ -12,12 +12,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-UV := $(BIN)/uv pip install --quiet --python $(BIN)/python
+# Python compiles what it imports, unless it may not write: then everything is compiled here, once.
+UV := $(BIN)/uv pip install --quiet --python $(BIN)/python $(if $(PYTHONDONTWRITEBYTECODE),--compile-bytecode)
 SOURCES := pgrssnn_jax hydra_plugins tests benchmarks docs examples train.py discover.py report.py
 
 .PHONY: train test test-slow test-all test-latest test-oldest notebooks coverage mutants check docs docs-serve audit
 .PHONY: install lock
-train: install
+train: $(VENV)/.package
 	$(BIN)/python train.py +experiment=cascaded_tank
 
 # Tests share the cores: threads of BLAS would wait for each other.
@@ -52,14 +53,19 @@ docs-serve: docs
 
 install: $(VENV)/.installed
 
-# uv takes a quarter of pip's time. pip installs where uv cannot: behind an index that only pip is told of, for instance.
-$(VENV)/.installed: pyproject.toml requirements.lock
+# uv takes a third of pip's time or less. pip installs where uv cannot: behind an index that only pip is told of, for
+# instance. Training needs the package alone.
+$(VENV)/.package: pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "error: python: expected 3.11 or newer, found $$($(PYTHON) --version 2>&1); set PYTHON=..."; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	@awk '/^uv==/ { on = 1 } on; on && !/\\$$/ { exit }' requirements.lock > $(VENV)/uv.txt
-	{ $(PIP) -r $(VENV)/uv.txt && $(UV) -r requirements.lock && $(UV) --no-deps --editable .; } || \
+	{ $(PIP) -r $(VENV)/uv.txt && $(UV) --constraint requirements.lock --editable .; } || \
 	  { $(PIP) -r requirements.lock && $(PIP) --no-deps --editable .; }
+	touch $@
+
+$(VENV)/.installed: $(VENV)/.package
+	$(UV) -r requirements.lock || $(PIP) -r requirements.lock
 	touch $@
 
 test-latest: RESOLUTION := highest
