@@ -70,21 +70,24 @@ def simulate(
     h = np.array(levels, float)
     step = SAMPLE_TIME / _SUB_STEPS
     true = np.empty_like(u)
-    for t, voltage in enumerate(u):
-        slope = partial(_slope, simulator=simulator, voltage=voltage)
+    roots, lines = np.array([[simulator.k1], [simulator.k4]]), np.array([[simulator.k2], [simulator.k5]])
+    for t, inflow in enumerate(simulator.k3 * u):
+        slope = partial(_slope, roots=roots, lines=lines, inflow=inflow)
         for _ in range(_SUB_STEPS):
             h = np.maximum(runge_kutta(slope, h, step), 0.0)
             spilt = np.maximum(h[0] - simulator.rim, 0.0)
-            h = h + np.stack([-spilt, simulator.share * spilt])
+            h[0] -= spilt
+            h[1] += simulator.share * spilt
         true[t] = h[1]
     return np.clip(true + simulator.noise * rng.standard_normal(u.shape), 0.0, SENSOR_END)
 
 
-def _slope(h: np.ndarray, simulator: TankSimulator, voltage: np.ndarray) -> np.ndarray:
-    upper, lower = np.maximum(h, 0.0)
-    q1 = simulator.k1 * np.sqrt(upper) - simulator.k2 * upper
-    q2 = simulator.k4 * np.sqrt(lower) - simulator.k5 * lower
-    return np.stack([simulator.k3 * voltage - q1, q1 - q2])
+def _slope(h: np.ndarray, roots: np.ndarray, lines: np.ndarray, inflow: np.ndarray) -> np.ndarray:
+    level = np.maximum(h, 0.0)
+    q = roots * np.sqrt(level) - lines * level
+    q[1] = q[0] - q[1]
+    q[0] = inflow - q[0]
+    return q
 
 
 def runge_kutta(slope: Callable[[np.ndarray], np.ndarray], x: np.ndarray, step: float) -> np.ndarray:

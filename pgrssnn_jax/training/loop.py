@@ -67,11 +67,12 @@ def train(
     """Trains all members from `state`, which a checkpoint may have given, and appends to `losses`.
 
     on_chunk is called after every chunk with the state on the device; what it does (a progress bar, a checkpoint) is
-    the caller's matter; stop: looked at between chunks. One program is compiled, whatever the number of chunks.
+    the caller's matter; stop: looked at between chunks. One program is compiled, whatever the number of chunks; none
+    where nothing is left to train.
     """
     settings = fit.settings
     seconds = {"compile": 0.0, "train": 0.0}
-    if not jax.tree.leaves(state.theta):
+    if not jax.tree.leaves(state.theta) or done(state, losses, settings):
         return Training(state, losses, seconds, False)
     started = time.perf_counter()
     advance = jit_members(fit.advance, mapping, donated=0).lower(state, data).compile()
