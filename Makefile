@@ -1,10 +1,10 @@
-# make train   set up .venv and train PG-RSSNN on the cascaded tanks (about a minute)
+# make train   set up .venv with the package and train PG-RSSNN on the cascaded tanks (about a minute)
 # make test    set up .venv and run the tests that take minutes
 # make test-slow  those that need more;  make test-all  both, compiled as users compile
 # make notebooks  execute examples/ again and store what they show
 # make check   formatting, lint, layers and types
 # make docs    build the documentation into site/;  make docs-serve  show it while you write
-# make install set up .venv alone;  make lock  renew the lock file;  make audit  its known vulnerabilities
+# make install set up .venv with all tools;  make lock  renew the lock file;  make audit  its known vulnerabilities
 # make coverage  lines of the package that no fast test runs; fails where these are more than 5 %
 # make mutants  would the tests notice? 300 small faults in the code, one at a time, after make coverage
 # make test-latest  the tests on the newest releases;  make test-oldest  on the lower bounds of pyproject.toml

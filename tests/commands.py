@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
@@ -22,6 +23,7 @@ from pgrssnn_jax.cli.config_store import register
 from pgrssnn_jax.cli.plan import plain_config
 from pgrssnn_jax.cli.train import plan_command, train_run
 from pgrssnn_jax.records.record import Record
+from pgrssnn_jax.reports import write
 from pgrssnn_jax.training.plan import Plan
 from pgrssnn_jax.training.run_folder import RunFolder
 
@@ -67,6 +69,13 @@ def trained(folder: Path, *overrides: str) -> RunFolder:
             command="python train.py", seconds={},
         )  # fmt: skip
     return run
+
+
+@contextlib.contextmanager
+def without_pictures() -> Iterator[None]:
+    """For tests that look at none: drawing them takes as long as all the rest of a small run."""
+    with mock.patch.object(write, "save_figures", return_value={}):
+        yield
 
 
 def environment(**changes: str) -> dict[str, str]:

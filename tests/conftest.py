@@ -6,6 +6,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -22,7 +23,8 @@ _COMPILED = tempfile.TemporaryDirectory(prefix="pgrssnn_jax_compiled_")
 if "PYTEST_XDIST_WORKER" in os.environ or "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     os.environ["JAX_COMPILATION_CACHE_DIR"] = _COMPILED.name
 jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 1.0)  # what compiles sooner is hardly worth its file
+jax.config.update("jax_traceback_in_locations_limit", 0)  # nobody reads where an operation of a program was written
 
 
 #: tracing makes millions of small objects; a collection of garbage every 700 of them takes 5 % of the tests' time
@@ -75,6 +77,17 @@ def data() -> Path:
 @pytest.fixture
 def key() -> jax.Array:
     return jax.random.key(20260715)
+
+
+@pytest.fixture(autouse=True, scope="session")
+def simulated_once() -> Iterator[None]:
+    """Loaders simulate the same plants again and again, for seconds; tests of the simulators call these themselves."""
+    from pgrssnn_jax.data import arm_simulator, tanks
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tanks, "estimation_and_test", cache(tanks.estimation_and_test))
+        patch.setattr(arm_simulator, "simulated_arm", cache(arm_simulator.simulated_arm))
+        yield
 
 
 MOST_MEMORY = 5e9  # bytes that a worker holds before its compiled programs go; two of them fit a machine of 16 GB

@@ -1,5 +1,7 @@
 """A small known system for tests of training: cascaded tanks simulated by their own model, with a few samples."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +34,13 @@ def simulated(physics: Physics, *, samples: int, seed: int, noise: float = 0.0, 
     return record(u, np.asarray(y, np.float64) + noise * rng.standard_normal(y.shape), INFO)
 
 
+@cache
+def _usual(samples: int, noise: float) -> tuple[Record, Record]:
+    """Records to train on and to validate, of the usual truth: simulating them compiles longer than it takes."""
+    truth = cascaded_tanks(k1=0.055, k4=0.05)
+    return simulated(truth, samples=samples, seed=1, noise=noise), simulated(truth, samples=32, seed=2, noise=noise)
+
+
 def small_fit(
     *,
     spec: ModelSpec | None = None,
@@ -45,14 +54,16 @@ def small_fit(
 ) -> tuple[Fit, MemberData]:
     """A fit and the data of its members: 48 samples to train on, 32 to validate."""
     physics = physics or cascaded_tanks()
-    truth = truth or cascaded_tanks(k1=0.055, k4=0.05)
     settings = settings or FitSettings(epochs=20, validate_every=2, patience=20, chunk_epochs=10)
     model = build_model(spec or ModelSpec(hidden=4), physics)
     objective = build_objective(
         model, initial or InitialState("first_output"), train_physics=settings.physics_parameters == "trained"
     )
-    train = cast(simulated(truth, samples=samples, seed=1, noise=noise), np.float32)
-    validation = cast(simulated(truth, samples=32, seed=2, noise=noise), np.float32)
+    if truth is None:
+        records = _usual(samples, noise)
+    else:
+        records = tuple(simulated(truth, samples=n, seed=k, noise=noise) for k, n in ((1, samples), (2, 32)))
+    train, validation = (cast(part, np.float32) for part in records)
     scaling = jax.tree.map(np.float32, model_scaling(model, train))
     data = MemberData(train, validation, scaling, np.asarray(settings.epochs, np.int32))
     return Fit(objective, settings), jax.tree.map(np.asarray, repeat(data, members))

@@ -4,17 +4,23 @@ import json
 
 import numpy as np
 import pytest
-from commands import command
+from commands import called, command
 
 import pgrssnn_jax as pg
 
 SMOKE = {"epochs": 10, "chunk_epochs": 10, "optimisation": 0, "quiet": True}
 
 
-@pytest.mark.parametrize("name", ["physics_only", pytest.param("pg_rssnn", marks=pytest.mark.slow)])
-def test_the_api_gives_the_numbers_of_the_command(name, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "run"),
+    [
+        pytest.param("physics_only", called, id="physics_only"),
+        pytest.param("pg_rssnn", command, id="pg_rssnn", marks=pytest.mark.slow),
+    ],
+)
+def test_the_api_gives_the_numbers_of_the_command(name, run, tmp_path):
     arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", f"model={name}"]
-    code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
+    code, _, err = run(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
     assert not code, err
     train, test = pg.load_benchmark("cascaded_tank", generated=True)
     found = pg.fit(name, pg.physics.cascaded_tanks(clamp=True), train, seeds=2, **SMOKE).evaluate(test)

@@ -11,6 +11,7 @@ from pgrssnn_jax.effects.stored import physics_to_json
 
 QUICK = {"seeds": 2, "epochs": 2, "validate_every": 1, "chunk_epochs": 1, "hidden": 3, "quiet": True}
 QUICK["recipe"] = "default"  # what is chosen is a matter of other tests
+TRAINED = {**QUICK, "initial_state": "zero", "physics_parameters": "trained"}  # alone, which compiles quickly
 CHEAP = {"draws": 99, "steps": 15, "starts": 1, "network_epochs": 0, "p_value": 0.02, "quiet": True}
 
 
@@ -43,10 +44,24 @@ def swing(physics, samples=400, seed=0, noise=0.003, torque=6.0):
     return u, y + noise * rng.standard_normal(y.shape)
 
 
-def test_an_own_physics_trains_saves_and_is_given_again(tmp_path):
-    u, y = swing(pendulum())
-    record = pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest")
-    fitted = pg.fit("pg_rssnn", pendulum(length=1.1), record, initial_state="zero", **QUICK)
+@pytest.fixture(scope="module")
+def swung():
+    """Inputs and outputs."""
+    return swing(pendulum())
+
+
+@pytest.fixture(scope="module")
+def record(swung):
+    return pg.record(*swung, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest")
+
+
+@pytest.fixture(scope="module")
+def fitted(record):
+    return pg.fit("physics_only", pendulum(length=1.1), record, **TRAINED)
+
+
+def test_an_own_physics_trains_saves_and_is_given_again(tmp_path, swung, record, fitted):
+    u, _ = swung
     assert np.isfinite(fitted.score(record)["rmse"]).all()
     fitted.save(tmp_path / "run")
     with pytest.raises(ValueError, match="physics of one's own"):
@@ -94,13 +109,11 @@ def test_what_is_no_stored_physics_is_refused(tmp_path):
         pg.read_physics(tmp_path, pg.physics.cascaded_tanks())
 
 
-def test_units_are_converted_or_refused():
-    u, y = swing(pendulum())
-    plain = pg.record(u, y, dt=0.05, inputs={"torque": "Nm"}, outputs={"angle": "rad"}, start="rest")
+def test_units_are_converted_or_refused(swung, fitted):
+    u, y = swung
     other = pg.record(1e3 * u, np.rad2deg(y), dt=0.05, inputs={"torque": "mNm"}, outputs={"angle": "deg"}, start="rest")
-    settings = {**QUICK, "initial_state": "zero"}
-    one, two = (pg.fit("pg_rssnn", pendulum(), record, **settings) for record in (plain, other))
-    np.testing.assert_allclose(one.losses.train, two.losses.train, rtol=1e-4)
+    again = pg.fit("physics_only", pendulum(length=1.1), other, **TRAINED)
+    np.testing.assert_allclose(again.losses.train, fitted.losses.train, rtol=1e-4)
     wrong = pg.record(u, y, dt=0.05, inputs={"torque": "V"}, outputs={"angle": "rad"})
     with pytest.raises(ValueError, match="torque: expected a unit that converts to Nm, found V"):
         pg.fit("pg_rssnn", pendulum(), wrong, **QUICK)

@@ -41,7 +41,7 @@ def test_hydra_lists_the_configurations_without_copying_their_store():
     assert copy.deepcopy(store) is store
 
 
-FAST = ("w_pgnn",)  # the one with a network inside; others train in the tests of the commands
+FAST = ("physics_only",)  # the others train in the tests of the commands and of the models
 
 
 @pytest.mark.parametrize("model", [m if m in FAST else pytest.param(m, marks=pytest.mark.compiles) for m in MODELS])
@@ -157,14 +157,16 @@ def test_every_group_is_there():
     assert groups()["physics"] >= {"tanks", "lgssm", "arm", "custom", "arm_model1", "arm_true", "lgssm_true"}
 
 
-def test_the_configuration_and_the_python_defaults_are_the_same():
+@pytest.mark.parametrize(
+    "model", ["pg_rssnn", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rssnn", "physics_only"))]
+)
+def test_the_configuration_and_the_python_defaults_are_the_same(model):
     """No number stands twice: what `pg.fit` would take is what the command composes, but for the physics."""
     for name, recipe in RECIPES.items():
-        for model in ("pg_rssnn", "rssnn", "physics_only"):
-            config = composed(f"+experiment={name}", f"model={model}")
-            assert settings_from_config(config) == training_settings(model, recipe.settings(discovered=False)), name
-            found = composed(f"+experiment={name}", f"model={model}", "physics.effects=discovery.json")
-            assert settings_from_config(found) == training_settings(model, recipe.settings(discovered=True)), name
+        config = composed(f"+experiment={name}", f"model={model}")
+        assert settings_from_config(config) == training_settings(model, recipe.settings(discovered=False)), name
+        found = composed(f"+experiment={name}", f"model={model}", "physics.effects=discovery.json")
+        assert settings_from_config(found) == training_settings(model, recipe.settings(discovered=True)), name
     own = composed("physics=tanks", "data.train=A.csv", "data.test=B.csv")
     assert settings_from_config(own) == training_settings("pg_rssnn", DEFAULT.settings(discovered=False))
     proof = composed("+experiment=cascaded_tank", name="discover")
@@ -190,7 +192,7 @@ def test_earlier_spellings_are_taken_with_a_warning():
         (["initial_state=zero", "physics.clamp=false"], 1.042),
         pytest.param(["initial_state=first_output", "physics.clamp=false"], 0.763, marks=pytest.mark.compiles),
         pytest.param(["initial_state=zero", "physics.clamp=true"], 1.110, marks=pytest.mark.compiles),
-        (["initial_state=first_output", "physics.clamp=true"], 0.852),
+        pytest.param(["initial_state=first_output", "physics.clamp=true"], 0.852, marks=pytest.mark.compiles),
     ],
 )
 def test_the_published_tanks_figures_of_the_physics_alone(tmp_path, data, overrides, volts):
@@ -202,7 +204,9 @@ def test_the_published_tanks_figures_of_the_physics_alone(tmp_path, data, overri
 
 @pytest.mark.data
 @pytest.mark.parametrize(("physics", "scaling", "rmse"), [
-    ("lgssm", "true", "1.680"), ("lgssm", "false", "1.449"), ("lgssm_true", "false", "1.361"),
+    pytest.param("lgssm", "true", "1.680", marks=pytest.mark.compiles),
+    pytest.param("lgssm", "false", "1.449", marks=pytest.mark.compiles),
+    ("lgssm_true", "false", "1.361"),
 ])  # fmt: skip
 def test_the_published_lgssm_figures_of_the_physics_alone(tmp_path, data, physics, scaling, rmse):
     """1.680 on the first realisation; the standardisation, and so the figure, differs between realisations."""

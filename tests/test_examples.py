@@ -88,6 +88,7 @@ def test_a_notebook_is_short_and_says_what_comes(path):
     )
 
 
+@pytest.mark.slow
 def test_executing_stores_what_a_reader_sees_alone(tmp_path, execute):
     cell = "import matplotlib.pyplot as plt\n_ = plt.figure(figsize=(20, 2)).subplots().plot([1, 3])\nprint('drawn')"
     path = tmp_path / "small.ipynb"

@@ -16,6 +16,7 @@ from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.training.settings import GROUPS
 
 pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from acceleration.functions import FUNCTIONS
-from toys import toy_physics
+from toys import quick_jit, toy_physics
 
 from pgrssnn_jax.acceleration import build
 from pgrssnn_jax.acceleration.build import COMPILERS
@@ -57,16 +57,27 @@ def arrays(code: Code, theta: np.ndarray, lanes: int, seed: int = 0) -> tuple[ja
     return tuple(map(jnp.asarray, (u, many, x0, free)))
 
 
-# lanes: less than a vector, some vectors and a rest
-@pytest.mark.parametrize("plant", PLANTS)
-@pytest.mark.parametrize("lanes", [1, 3, 19])
+@cache
+def both(plant: str, which: int):
+    """Free runs without and with derivatives, by one of the codes."""
+    code = codes(plant)[which]
+    return quick_jit(
+        lambda u, many, x0, free: (*free_run(code, u, many, x0), *with_derivatives(code, u, many, x0, free))
+    )
+
+
+# lanes: less than a vector, some vectors and a rest; another plant is another program of the same loops
+@pytest.mark.parametrize(("plant", "lanes"), [
+    ("linear", 1), ("linear", 3), ("linear", 19), ("toy, measured before", 3),
+    *(pytest.param("tanks", lanes, marks=pytest.mark.compiles) for lanes in (1, 3, 19)),
+    *(pytest.param("toy, measured before", lanes, marks=pytest.mark.compiles) for lanes in (1, 19)),
+])  # fmt: skip
 def test_free_runs_and_their_derivatives_are_those_of_jax(plant, lanes):
-    ours, plain, theta = codes(plant)
-    u, many, x0, free = arrays(ours, theta, lanes, seed=lanes)
-    for function, given in ((free_run, (u, many, x0)), (with_derivatives, (u, many, x0, free))):
-        for found, expected in zip(function(ours, *given), function(plain, *given), strict=True):
-            assert np.isfinite(expected).all()
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
+    ours, _, theta = codes(plant)
+    given = arrays(ours, theta, lanes, seed=lanes)
+    for found, expected in zip(both(plant, 0)(*given), both(plant, 1)(*given), strict=True):
+        assert np.isfinite(expected).all()
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
 
 
 def toy_runs(measure, p: int, x: int, y: int) -> FreeRuns | None:
@@ -86,18 +97,20 @@ def test_every_operation_and_its_derivative():
 
     draw = np.random.default_rng(0)
     a, b = draw.normal(size=(3, 1, 7)), draw.normal(size=(2, 7))
-    one = jax.vmap(measure, (-1, -1, None), -1)
-    expected = one(jnp.asarray(b), jnp.asarray(a[:, 0]), jnp.zeros(1))
-    by_b, by_a = jax.jacfwd(lambda b, a: jax.vmap(measure, (-1, -1, None), -1)(b, a, jnp.zeros(1)), (0, 1))(
-        jnp.asarray(b), jnp.asarray(a[:, 0])
-    )
+
+    def one(b, a):
+        return jax.vmap(measure, (-1, -1, None), -1)(b, a, jnp.zeros(1))
+
+    expected, (by_b, by_a) = quick_jit(lambda *both: (one(*both), jax.jacfwd(one, (0, 1))(*both)))(b, a[:, 0])
     runs = toy_runs(measure, 2, 3, len(expected))
     assert runs is not None
     free = jnp.tile(jnp.arange(2), (7, 1))
     y, dy = runs.along(jnp.zeros((1, 1, 1)), jnp.asarray(b), jnp.asarray(a), free)
     np.testing.assert_allclose(y[0, :, 0], expected, rtol=1e-12, atol=1e-15)
     lanes = np.arange(7)
-    derivatives = np.concatenate([by_b[:, lanes, :, lanes], by_a[:, lanes, :, lanes]], -1)  # [lane, y, d]
+    derivatives = np.concatenate(
+        [np.asarray(by_b)[:, lanes, :, lanes], np.asarray(by_a)[:, lanes, :, lanes]], -1
+    )  # [lane, y, d]
     np.testing.assert_allclose(np.moveaxis(dy[0, :, :, 0], -1, 0), derivatives, rtol=1e-11, atol=1e-13)
 
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
+from toys import quick_jit
 
 from pgrssnn_jax.acceleration.build import COMPILERS
 from pgrssnn_jax.acceleration.native import gru_scan as gru_kernel
@@ -17,27 +18,40 @@ needs_kernel = pytest.mark.skipif(missing_kernels() is not None, reason=f"no ker
 
 
 def weights(hidden, time, sequences, *members, seed=0):
-    keys = jax.random.split(jax.random.key(seed), 4)
-    kernel = jax.random.normal(keys[0], (*members, hidden, 3 * hidden)) * hidden**-0.5
-    bias = 0.3 * jax.random.normal(keys[1], (*members, 3 * hidden))
-    projected = jax.random.normal(keys[2], (*members, time, sequences, 3 * hidden))
-    return kernel, bias, projected, jax.random.normal(keys[3], (*members, sequences, hidden))
+    draw, gates = np.random.default_rng(seed), 3 * hidden
+    shapes = (hidden, gates), (gates,), (time, sequences, gates), (sequences, hidden)
+    sizes = hidden**-0.5, 0.3, 1.0, 1.0
+    drawn = (size * draw.normal(size=(*members, *shape)) for size, shape in zip(sizes, shapes, strict=True))
+    return tuple(jnp.asarray(one, jnp.float32) for one in drawn)
 
 
-def gradients(scan, arrays):
-    """Of a sum in which every state has its own weight."""
-    return jax.jit(jax.grad(lambda a: jnp.sum(jnp.sin(3.0 * scan(*a)) ** 2)))(arrays)
+@quick_jit
+def both_ways(arrays):
+    """The states, and the gradients of a sum in which each has its own weight; by the kernel and by the scan."""
+
+    def gradients(scan):
+        return jax.grad(lambda a: jnp.sum(jnp.sin(3.0 * scan(*a)) ** 2))(arrays)
+
+    return [(scan(*arrays), gradients(scan)) for scan in (gru_kernel, gru_scan)]
+
+
+HIDDEN, LENGTHS = (16, 64, 5, 22), ((1, 1), (130, 1), (64, 1), (9, 13), (3, 70))
+#: every size and every length, each with two others at least
+SIZES = [
+    (length, hidden) if (i + j) % 3 == 0 else pytest.param(length, hidden, marks=pytest.mark.compiles)
+    for i, length in enumerate(LENGTHS)
+    for j, hidden in enumerate(HIDDEN)
+]
 
 
 # units: the two published sizes, one that fills no vector, one that fills some and leaves a rest; sequences: fewer and
 # more than the rows of a block (4, 8) and of a chunk (64); time: a whole chunk, parts of one, a single step
 @needs_kernel
-@pytest.mark.parametrize("hidden", [16, 64, 5, 22])
-@pytest.mark.parametrize(("time", "sequences"), [(1, 1), (130, 1), (64, 1), (9, 13), (3, 70)])
-def test_values_and_gradients_are_those_of_the_scan(hidden, time, sequences):
-    arrays = weights(hidden, time, sequences)
-    np.testing.assert_allclose(gru_kernel(*arrays), gru_scan(*arrays), rtol=0, atol=2e-6)
-    for found, expected in zip(gradients(gru_kernel, arrays), gradients(gru_scan, arrays), strict=True):
+@pytest.mark.parametrize(("length", "hidden"), SIZES)
+def test_values_and_gradients_are_those_of_the_scan(length, hidden):
+    (states, gradients), (expected_states, expected_gradients) = both_ways(weights(hidden, *length))
+    np.testing.assert_allclose(states, expected_states, rtol=0, atol=2e-6)
+    for found, expected in zip(gradients, expected_gradients, strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
 
 
@@ -52,9 +66,9 @@ def test_gradients_are_those_of_finite_differences():
 @needs_kernel
 def test_gates_that_saturate_stay_finite_and_right():
     kernel, bias, projected, start = weights(16, 20, 3)
-    arrays = kernel, bias, 200.0 * projected, start
-    np.testing.assert_allclose(gru_kernel(*arrays), gru_scan(*arrays), rtol=0, atol=2e-6)
-    assert all(np.isfinite(g).all() for g in gradients(gru_kernel, arrays))
+    (states, gradients), (expected, _) = both_ways((kernel, bias, 200.0 * projected, start))
+    np.testing.assert_allclose(states, expected, rtol=0, atol=2e-6)
+    assert all(np.isfinite(g).all() for g in gradients)
 
 
 @needs_kernel
@@ -86,9 +100,9 @@ def test_members_may_share_their_weights():
 
 
 def layers(n_in, hidden, n_out, rows, *members):
-    keys = jax.random.split(jax.random.key(1), 5)
+    draw = np.random.default_rng(1)
     shapes = (n_in, hidden), (hidden,), (hidden, n_out), (n_out,), (rows, n_in)
-    return [jax.random.normal(k, (*members, *shape)) * 0.5 for k, shape in zip(keys, shapes, strict=True)]
+    return [jnp.asarray(0.5 * draw.normal(size=(*members, *shape)), jnp.float32) for shape in shapes]
 
 
 def by_hand(relu, w1, b1, w2, b2, z):
@@ -101,12 +115,14 @@ def by_hand(relu, w1, b1, w2, b2, z):
 @pytest.mark.parametrize("shape", [(1, 16, 16, 200), (32, 16, 16, 64), (16, 16, 1, 65), (3, 7, 18, 5), (64, 64, 12, 1)])
 def test_dense_layers_are_those_of_two_products(relu, shape):
     arrays = layers(*shape)
-    np.testing.assert_allclose(two_dense(relu, *arrays), by_hand(relu, *arrays), rtol=0, atol=5e-5)
 
-    def gradient(function):
-        return jax.jit(jax.grad(lambda a: jnp.sum(jnp.sin(function(relu, *a)))))(arrays)
+    def values_and_gradients(arrays):
+        both = (two_dense, by_hand)
+        return [(f(relu, *arrays), jax.grad(lambda a, f=f: jnp.sum(jnp.sin(f(relu, *a))))(arrays)) for f in both]
 
-    for found, expected in zip(gradient(two_dense), gradient(by_hand), strict=True):
+    (y, gradients), (expected_y, expected_gradients) = quick_jit(values_and_gradients)(arrays)
+    np.testing.assert_allclose(y, expected_y, rtol=0, atol=5e-5)
+    for found, expected in zip(gradients, expected_gradients, strict=True):
         np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from acceleration.functions import FUNCTIONS
-from toys import toy_physics
+from toys import quick_jit, toy_physics
 
 from pgrssnn_jax.acceleration.scalars import written_out
 from pgrssnn_jax.discovery.free_runs import with_derivatives
@@ -40,8 +40,7 @@ def test_it_is_the_function_of_arrays_for_all_lanes_at_once(name):
     def along(da: jax.Array, db: jax.Array) -> tuple[jax.Array, jax.Array]:
         return jax.jvp(jax.vmap(function, -1, -1), (jnp.asarray(a), jnp.asarray(b)), (da, db))
 
-    values, tangents = jax.vmap(along, 1)(da, db)
-    found = program(*a, *b, *da, *db)
+    (values, tangents), found = quick_jit(lambda *d: (jax.vmap(along, 1)(*d), program(*a, *b, *d[0], *d[1])))(da, db)
     n = len(found) // 2
     np.testing.assert_allclose(found[:n], values[0], rtol=1e-13, atol=1e-15)
     np.testing.assert_allclose(
@@ -93,7 +92,11 @@ def programs(plant: str):
     return problem, *(jax.jit(partial(with_derivatives, code)) for code in codes)
 
 
-@pytest.mark.parametrize("plant", PLANTS)
+# the same lines again, of more numbers
+MORE = [pytest.param(plant, marks=pytest.mark.compiles) for plant in ("tanks", "toy", "toy, measured before")]
+
+
+@pytest.mark.parametrize("plant", [*MORE, "tanks by one step", "linear"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_free_runs_have_the_same_derivatives_either_way(plant, seed):
     """From neutral numbers, some of which are infinite, and from empty states."""

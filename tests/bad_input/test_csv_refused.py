@@ -137,9 +137,17 @@ CALLS = {
     **{f"{name}-{script}": (*row, script) for name, row in COMMANDS.items() for script in SCRIPTS},
     "no run": (["resume=none"], "run folder: expected one with a config.yaml, found none", "train.py"),
 }
+FAST = ("no test file", "a state that is not measured", "effects that are no file", "effects that are damaged")
 
 
-@pytest.mark.parametrize(("arguments", "words", "script"), CALLS.values(), ids=CALLS)
+def marks(name: str) -> list[pytest.MarkDecorator]:
+    """Both commands read files by the same lines."""
+    return [pytest.mark.slow] if name.endswith("discover.py") and not name.startswith(FAST) else []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "script"), [pytest.param(*call, id=name, marks=marks(name)) for name, call in CALLS.items()]
+)
 def test_a_command_ends_with_2_and_writes_nothing(folder, arguments, words, script):
     (folder / "A.csv").write_text(GOOD)
     (folder / "B.csv").write_text(GOOD.replace(",", ";"))

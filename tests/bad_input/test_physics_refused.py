@@ -213,7 +213,7 @@ def test_the_sub_steps_that_a_message_offers_help():
     assert pg.simulate(fast(), U, [0.0]).first_bad < len(U)
 
 
-@pytest.mark.parametrize("model", ["physics_only", "pg_rssnn"])
+@pytest.mark.parametrize("model", ["physics_only", pytest.param("pg_rssnn", marks=pytest.mark.compiles)])
 def test_members_of_a_stiff_physics_that_failed_say_what_helps(model):
     small = {"hidden": 2, "gru_layers": 1} if model == "pg_rssnn" else {}
     found = pg.fit(model, fast(), own_record(), recipe="default", seeds=1, epochs=2, quiet=True, **small)
@@ -223,6 +223,7 @@ def test_members_of_a_stiff_physics_that_failed_say_what_helps(model):
     assert "sub_steps=100 in place of 1 keeps the run finite, and so does the implicit integrator=rosenbrock" in reason
 
 
+@pytest.mark.compiles
 def test_members_that_failed_beside_a_finite_physics_have_no_such_hint():
     found = pg.fit("pg_rssnn", own(), own_record(), recipe="default", seeds=1, epochs=3, learning_rate=1e30,
                    guard="none", hidden=2, gru_layers=1, quiet=True)  # fmt: skip

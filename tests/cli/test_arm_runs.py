@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from commands import QUICK, ROOT, called, composed, config_names, planned, trained
+from commands import QUICK, ROOT, called, composed, config_names, planned, trained, without_pictures
 
 from pgrssnn_jax.data.arm_simulator import simulated_arm
 from pgrssnn_jax.physics.arms.tables import described
@@ -94,13 +94,15 @@ def write_arm_csv(path, *, degrees=False, joints=6):
     return path
 
 
+@pytest.mark.compiles
 def test_own_arm_data_comes_as_columns_and_what_was_not_measured_has_no_pose(tmp_path):
     file = write_arm_csv(tmp_path / "arm.csv")
     short = tmp_path / "short.csv"
     lines = file.read_text().splitlines()
     short.write_text("\n".join(lines[:-10]) + "\n")  # the second sequence ends early
     data = ["data=csv", f"data.train={file}", f"data.test={short}", "recipe=default"]
-    run = trained(tmp_path / "run", "physics=arm", *data, "initial_state=zero", "model=physics_only")
+    with without_pictures():
+        run = trained(tmp_path / "run", "physics=arm", *data, "initial_state=zero", "model=physics_only")
     metrics = metrics_of(run)
     assert metrics["summary"]["finished"] == 1
     assert {output["unit"] for output in metrics["outputs"]} == {"rad"}
@@ -184,11 +186,12 @@ def test_the_joints_of_a_urdf_are_named_in_their_order(tmp_path):
         pytest.param([*SIMULATED, "physics=arm_model1"], (0.52, 0.54), marks=pytest.mark.compiles),
         pytest.param([*SIMULATED, "physics=arm_model2"], (0.80, 0.81), marks=pytest.mark.compiles),
         pytest.param([*SIMULATED, "physics=arm_true"], (0.32, 0.33), marks=pytest.mark.compiles),
-        (["+experiment=robot_real"], (3.2, 3.32)),
+        pytest.param(["+experiment=robot_real"], (3.2, 3.32), marks=pytest.mark.compiles),
     ],
 )
 def test_the_published_figures_of_the_physics_alone(tmp_path, data, overrides, nrmse):
-    summary = metrics_of(trained(tmp_path / "run", *overrides, "model=physics_only"))["summary"]
+    with without_pictures():
+        summary = metrics_of(trained(tmp_path / "run", *overrides, "model=physics_only"))["summary"]
     assert nrmse[0] <= summary["nrmse_mean"] <= nrmse[1]
 
 

@@ -12,7 +12,7 @@ from commands import ROOT, called, command, planned
     ("run", "arguments", "sentence"),
     [
         (command, ["+experiment=cascaded_tank", "model=unknown"], "model/unknown"),
-        (command, ["+experiment=cascaded_tank", "fit.epohcs=3"], "fit.epohcs"),
+        pytest.param(command, ["+experiment=cascaded_tank", "fit.epohcs=3"], "fit.epohcs", marks=pytest.mark.slow),
         (called, ["+experiment=cascaded_tank", "data.path=none.csv"], "none.csv"),
         (called, [], "physics._target_: expected +experiment=cascaded_tank"),
         (called, ["resume=none"], "run folder: expected one with a config.yaml"),

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import yaml
-from commands import QUICK, called, trained, write_benchmark
+from commands import QUICK, called, trained, without_pictures, write_benchmark
 from omegaconf import OmegaConf
 
 from pgrssnn_jax.reports.ensemble import Ensemble
@@ -168,6 +168,12 @@ TRAPS = {
 }
 
 
+@pytest.fixture(autouse=True, scope="module")
+def no_pictures() -> Iterator[None]:
+    with without_pictures():
+        yield
+
+
 @pytest.fixture(scope="module")
 def harmless(tmp_path_factory) -> Path:
     """A finished run that nobody has changed."""
@@ -202,7 +208,15 @@ def test_every_trap_springs_for_a_careless_reader(folder, name):
     assert Path(MARK).read_text().startswith("struck")
 
 
-@pytest.mark.parametrize("name", TRAPS)
+LIKE_OTHERS = {
+    "a module beside the folder", "a model and settings with targets", "pickled physics", "pickled metrics",
+    "a pickled environment", "no physics.json", "a tag of YAML",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in LIKE_OTHERS else []) for name in TRAPS]
+)
 def test_nothing_that_came_with_a_folder_is_executed(folder, name):
     TRAPS[name].set(folder)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+import socket
 import subprocess
 import sys
 
@@ -59,6 +60,19 @@ def test_a_lock_where_no_file_can_be_is_bad_input(tmp_path):
         locked(tmp_path / "file" / "run"),
     ):
         pass
+
+
+def test_a_folder_that_is_held_names_its_holder_until_it_is_free(tmp_path):
+    run, holder = tmp_path / "run", f"process {os.getpid()} on {socket.gethostname()}"
+    with (
+        locked(run),
+        pytest.raises(ValueError, match=f"run: expected a run folder in which nobody writes, found {holder} at work"),
+        locked(run),
+    ):
+        pass
+    with locked(run):
+        assert [path.name for path in tmp_path.iterdir()] == [".run.lock"]
+    assert not list(tmp_path.iterdir())
 
 
 def test_sigterm_between_the_jobs_of_a_sweep_ends_with_the_code_of_an_interruption(tmp_path):

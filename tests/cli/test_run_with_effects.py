@@ -2,11 +2,12 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import QUICK, called, composed, trained, write_benchmark
+from commands import QUICK, called, composed, trained, without_pictures, write_benchmark
 
 from pgrssnn_jax import api as pg
 from pgrssnn_jax.cli.sweeps import job_status
@@ -28,7 +29,14 @@ def arguments(folder: Path) -> list[str]:
     return [
         "+experiment=cascaded_tank", f"data.path={folder / 'tanks.csv'}", "data.n_validation=20", *QUICK,
         f"physics.effects={folder / 'found.json'}", "data.folds=0", "initial_state=first_output",
+        "model=physics_only", "fit.physics_parameters=trained",
     ]  # fmt: skip
+
+
+@pytest.fixture(autouse=True, scope="module")
+def no_pictures() -> Iterator[None]:
+    with without_pictures():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +84,7 @@ def test_what_happens_to_the_file_of_effects_changes_nothing_in_the_run(made, tm
     again = json.loads((run / "physics.json").read_text())
     assert again["numbers"]["effects"] == {"pump_saturation": {"voltage": pytest.approx(3.0)}}
     assert again["numbers"]["parameters"]["k1"] == pytest.approx(0.05)
+    assert job_status(RunFolder(run), composed(*arguments(made), LONGER)) == "finished"
 
 
 @pytest.mark.slow
@@ -91,6 +100,7 @@ def test_a_run_that_was_made_longer_remembers_the_file_it_was_made_of(made, tmp_
     assert code == 0, err
 
 
+@pytest.mark.slow
 def test_a_job_of_a_sweep_that_was_gone_on_with_is_still_that_job(made, tmp_path):
     """Else the next start of the sweep takes its finished run for another one."""
     shutil.copytree(made / "run", tmp_path / "run")

@@ -144,6 +144,7 @@ def test_a_table_runs_without_m_and_a_smoke_run_lands_where_no_other_does(tmp_pa
     assert "experiment=data_efficiency_tank: expected alone" in out
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_whole_sweep(tmp_path, stub):
     process = start("-m", "+experiment=cascaded_tank", "seed=0,9,3", cwd=tmp_path, script=stub)
     assert process.stdout is not None

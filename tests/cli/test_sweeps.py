@@ -225,7 +225,15 @@ def test_a_launcher_that_is_not_installed_is_named(monkeypatch):
         assert "pgrssnn_jax[sweep]" in problem
 
 
-@pytest.mark.parametrize("experiment", TABLES)
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        pytest.param(
+            name, marks=[] if name in ("table1_tank", "table2_lgssm", "data_efficiency_tank") else pytest.mark.slow
+        )
+        for name in TABLES
+    ],
+)
 def test_a_table_is_a_sweep_of_known_configurations_without_a_guard(experiment):
     register()
     base, count = TABLES[experiment]

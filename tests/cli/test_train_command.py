@@ -5,16 +5,17 @@ import shutil
 import signal
 import socket
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from commands import QUICK, called, command, composed, start, trained, write_benchmark
+from commands import QUICK, called, command, composed, start, trained, without_pictures, write_benchmark
 
 from pgrssnn_jax.cli.resume import resume_config
 from pgrssnn_jax.reports.saved import load
-from pgrssnn_jax.training.run_folder import read_config
+from pgrssnn_jax.training.run_folder import RunFolder, read_config
 
 FILES = {
     "config.yaml", "environment.json", "history.csv", "metrics.json", "predictions.npz", "intervals.npz",
@@ -22,14 +23,30 @@ FILES = {
 }  # fmt: skip
 
 
+@pytest.fixture(autouse=True, scope="module")
+def no_pictures() -> Iterator[None]:
+    """Those of runs in this process; a command of its own draws them."""
+    with without_pictures():
+        yield
+
+
 def quick(benchmark: Path, *more: str) -> list[str]:
     return ["+experiment=cascaded_tank", f"data.path={benchmark}", "data.n_validation=40", *QUICK, *more]
 
 
-def test_a_run_leaves_the_folder_of_the_contract(tmp_path, benchmark):
-    code, out, err = command(*quick(benchmark), "hydra.run.dir=run", cwd=tmp_path)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, str]:
+    """A folder with a benchmark and a run on it, and what the command said. Nobody may change them."""
+    folder = tmp_path_factory.mktemp("finished")
+    benchmark = write_benchmark(folder / "tanks.csv", samples=160)
+    code, out, err = command(*quick(benchmark), "hydra.run.dir=run", cwd=folder)
     assert code == 0, err
-    run = tmp_path / "run"
+    return folder, out
+
+
+def test_a_run_leaves_the_folder_of_the_contract(finished):
+    folder, out = finished
+    run = folder / "run"
     assert {path.name for path in run.iterdir()} == FILES
     assert {path.name for path in (run / "figures").iterdir()} >= {"prediction.png", "training.png", "members.png"}
     metrics = json.loads((run / "metrics.json").read_text())
@@ -92,6 +109,7 @@ def test_an_interrupted_run_is_whole_and_resumes_to_the_same_numbers(tmp_path, b
     )
 
 
+@pytest.mark.slow
 def test_a_second_process_in_a_folder_is_told_who_is_at_work_there(tmp_path, benchmark):
     """The first one goes on as if nothing had happened."""
     busy = quick(benchmark, "fit.epochs=1000000", "fit.patience=1000000", "hydra.run.dir=run")
@@ -119,7 +137,7 @@ def test_a_second_process_in_a_folder_is_told_who_is_at_work_there(tmp_path, ben
 
 def test_a_sweep_leaves_a_folder_per_job(tmp_path, benchmark):
     arguments = quick(benchmark, "model=physics_only", "seed=3,4", "hydra.sweep.dir=sweep")
-    code, _, err = command("-m", *arguments, cwd=tmp_path)
+    code, _, err = called("-m", *arguments, cwd=tmp_path)
     assert code == 0, err
     seeds = [
         json.loads(p.read_text())["members"][0]["seed"] for p in sorted((tmp_path / "sweep").glob("*/metrics.json"))
@@ -162,9 +180,10 @@ def test_a_killed_run_resumes_from_its_first_checkpoint(tmp_path, benchmark):
     assert json.loads((tmp_path / "killed/environment.json").read_text())["command"].endswith("fit.epochs=40")
 
 
-def test_a_finished_run_that_cannot_be_resumed_stays_as_it_is(tmp_path, benchmark):
+def test_a_finished_run_that_cannot_be_resumed_stays_as_it_is(tmp_path, finished):
     """To fewer epochs, on other data, without its checkpoint; then another run takes its folder."""
-    run = trained(tmp_path / "run", *quick(benchmark))
+    run, benchmark = RunFolder(tmp_path / "run"), finished[0] / "tanks.csv"
+    shutil.copytree(finished[0] / "run", run.path)
     before = (run.path / "metrics.json").read_text()
 
     def refused(*arguments: str) -> str:
@@ -176,8 +195,12 @@ def test_a_finished_run_that_cannot_be_resumed_stays_as_it_is(tmp_path, benchmar
 
     fewer = "resume: fit.epochs: expected at least the 2 already trained, found 1"
     assert fewer in refused("fit.epochs=1")
+    kept = benchmark.read_bytes()
     write_benchmark(benchmark, samples=160, seed=1)
-    assert "resume: data: expected" in refused("fit.epochs=9")
+    try:
+        assert "resume: data: expected" in refused("fit.epochs=9")
+    finally:
+        benchmark.write_bytes(kept)
     shutil.rmtree(run.checkpoint)
     assert "checkpoint: expected one in" in refused()
     run = trained(tmp_path / "run", *quick(benchmark, "model=physics_only"))
@@ -193,7 +216,7 @@ def test_a_stop_before_training_writes_nothing(tmp_path):
         "def physics():\n    os.kill(os.getpid(), signal.SIGINT)\n    return cascaded_tanks()\n"
     )
     path = write_benchmark(tmp_path / "tanks.csv", samples=160)
-    code, _, err = command(
+    code, _, err = called(
         "physics._target_=slow.physics", "data=cascaded_tank", f"data.path={path}", "data.n_validation=40", cwd=tmp_path
     )
     assert code == 130

@@ -3,6 +3,7 @@
 import re
 import textwrap
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -27,6 +28,12 @@ def load(**options):
 @pytest.fixture
 def no_folder(monkeypatch):
     monkeypatch.delenv("PGRSSNN_DATA", raising=False)
+
+
+@pytest.fixture
+def short_records(monkeypatch):
+    """Of the simulated plant, whose every sample is many small steps."""
+    monkeypatch.setattr("pgrssnn_jax.data.tanks.estimation_and_test", partial(estimation_and_test, n=300))
 
 
 @pytest.fixture
@@ -194,12 +201,13 @@ def test_a_download_that_hangs_is_ended(fake_package):
         download_tanks(0.5)
 
 
+@pytest.mark.usefixtures("short_records")
 def test_without_network_a_rig_is_simulated_and_says_so_loudly(fake_package, tmp_path, monkeypatch):
     fake_package("raise ValueError('unable to download')")
     monkeypatch.setenv("PGRSSNN_DATA", str(tmp_path))
     lines = []
-    splits, again = load(notify=lines.append, seed=3), estimation_and_test(3)
-    np.testing.assert_array_equal(splits.train.y[0, 0, :, 0], again[:768, 2])
+    splits, again = load(notify=lines.append, seed=3), estimation_and_test(3, 300)
+    np.testing.assert_array_equal(splits.train.y[0, 0, :, 0], again[:-256, 2])
     np.testing.assert_array_equal(splits.test.y[0, 0, :, 0], again[:, 3])
     assert (splits.train.info.source, splits.train.info.origin) == ("simulated", "built-in two-tank simulator, seed 3")
     assert len(lines) == 2
@@ -208,7 +216,8 @@ def test_without_network_a_rig_is_simulated_and_says_so_loudly(fake_package, tmp
     assert not any("\n" in line for line in lines)
 
 
-def test_a_rig_on_demand_needs_neither_word_nor_network(no_folder):
+@pytest.mark.usefixtures("no_folder", "short_records")
+def test_a_rig_on_demand_needs_neither_word_nor_network():
     lines = []
     assert load(generated=True, notify=lines.append).train.info.source == "simulated"
     assert lines == []

@@ -27,7 +27,11 @@ def tables(monkeypatch):
 
 
 @needs_pysindy
-@pytest.mark.parametrize(("truth", "size"), [("input_offset", "u_offset"), ("quadratic_drag", "drag")])
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("truth", "size"),
+    [("input_offset", "u_offset"), ("quadratic_drag", "drag")],
+)
 def test_pysindy_names_an_effect_that_is_a_term(truth, size):
     from benchmarks.hidden import with_pysindy
     from benchmarks.hidden.nominal import nominal
@@ -42,6 +46,7 @@ def test_pysindy_names_an_effect_that_is_a_term(truth, size):
 
 
 @needs_pysindy
+@pytest.mark.compiles
 def test_pysindy_is_given_the_state_that_nobody_measures():
     from benchmarks.hidden import with_pysindy
 
@@ -49,6 +54,7 @@ def test_pysindy_is_given_the_state_that_nobody_measures():
 
 
 @needs_pysindy
+@pytest.mark.compiles
 def test_the_script_goes_on_where_it_was(tmp_path):
     arguments = ["--only", "pysindy", "--parts", "suite", "--systems", "duffing", "--json", str(tmp_path / "rows")]
     for cases in (1, 2, 2):
@@ -60,6 +66,7 @@ def test_the_script_goes_on_where_it_was(tmp_path):
 
 
 @needs_adcd
+@pytest.mark.slow
 def test_adcd_finds_its_own_drag_and_every_scenario_is_accounted_for():
     """In a process of its own: importing adcd changes the precision of JAX."""
     code = (

@@ -1,12 +1,15 @@
 """The hidden cases of the benchmark: noise of the deviation that was asked for, and the same case in other units."""
 
+from collections.abc import Iterator
+from functools import cache, partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
 
-from benchmarks.hidden import circuit, drive, hysteretic, noise, reactor, suite, units
+from benchmarks.hidden import bench, chain, circuit, drive, hysteretic, noise, reactor, servo, suite, units
 from benchmarks.hidden.check import difference, free_run
 from benchmarks.hidden.nominal import USERS, nominal
 from benchmarks.hidden.score import wilson
@@ -14,6 +17,16 @@ from pgrssnn_jax.effects import add_effect
 from pgrssnn_jax.effects.systems import catalogue
 
 MODULES = {"hysteretic": hysteretic, "drive": drive, "circuit": circuit, "reactor": reactor}
+SAMPLES = {chain: 100, servo: 100, hysteretic: 100, drive: 300, circuit: 100, reactor: 100}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short() -> Iterator[None]:
+    """Plants are simulated in NumPy, sample by sample: fewer of them, and once for all tests of a case."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module, samples in SAMPLES.items():
+            patch.setattr(module, "build", cache(partial(bench.build, module.PLANT._replace(samples=samples))))
+        yield
 
 
 @pytest.mark.parametrize("kind", noise.KINDS)
@@ -37,7 +50,11 @@ def test_a_kind_of_noise_changes_nothing_but_the_noise():
     assert np.abs(np.asarray(white.train.y) - np.asarray(other.train.y)).max() > 0.0
 
 
-@pytest.mark.parametrize("system", ["tanks", "lgssm", "pendulum", "chain", *MODULES])
+@pytest.mark.parametrize(
+    "system",
+    ["tanks", "circuit", *(pytest.param(n, marks=pytest.mark.slow) for n in ("lgssm", "pendulum", "chain", "hysteretic",
+                                                                             "drive", "reactor"))],
+)  # fmt: skip
 def test_a_case_in_other_units_is_the_same_case(system):
     plan = suite.plans(system, 1, 300, ("none",))[0]
     here, there = suite.build(plan), suite.build(plan._replace(in_other_units=True))

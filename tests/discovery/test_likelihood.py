@@ -54,7 +54,12 @@ def errors(kind: str, seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("kind", "off", "covered"), [("white", 0.1, 0.92), ("larger at times", 0.15, 0.91), ("AR(0.9)", 0.25, 0.86)]
+    ("kind", "off", "covered"),
+    [
+        pytest.param("white", 0.1, 0.92, marks=pytest.mark.slow),
+        ("larger at times", 0.15, 0.91),
+        ("AR(0.9)", 0.25, 0.86),
+    ],
 )
 def test_deviations_are_those_of_many_records_and_intervals_cover(kind, off, covered):
     columns, records = regressors(), 300
@@ -73,7 +78,11 @@ def test_deviations_are_those_of_many_records_and_intervals_cover(kind, off, cov
 
 @pytest.mark.parametrize(
     ("kind", "by_colour", "by_both"),
-    [("white", (0.91, 0.98), (0.93, 0.99)), ("AR(0.9)", (0.86, 0.96), (0.88, 0.98)), ("lags", (0, 0.86), (0.88, 0.98))],
+    [
+        pytest.param("white", (0.91, 0.98), (0.93, 0.99), marks=pytest.mark.slow),
+        ("AR(0.9)", (0.86, 0.96), (0.88, 0.98)),
+        ("lags", (0, 0.86), (0.88, 0.98)),
+    ],
 )
 def test_intervals_cover_also_where_no_colour_describes_the_errors(kind, by_colour, by_both):
     """Lags: a disturbance and the inputs pass the same ten, so that errors and sensitivities have the same modes, more

@@ -60,10 +60,15 @@ def least_p_value(kind: str, seed: int, hidden: float = 0.0) -> float:
     return min(null.p_value(name, gained(error, columns, added)) for name, added in catalogue)
 
 
-KINDS = ["white", "AR(0.9)", "larger at high levels", "heavy tails"]
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("white", marks=pytest.mark.slow),
+        "AR(0.9)",
+        "larger at high levels",
+        pytest.param("heavy tails", marks=pytest.mark.slow),
+    ],
+)
 def test_at_the_5_percent_level_no_more_than_that_is_found_in_noise(kind):
     found = np.array([least_p_value(kind, seed) for seed in range(TESTS)])
     assert (found <= 0.05).mean() <= 0.08

@@ -92,7 +92,7 @@ def test_the_test_record_is_simulated_from_what_is_known_of_its_start(problem, s
 
 
 @pytest.mark.parametrize("start", list(Start))
-@pytest.mark.parametrize("phase", [0.3, 2.5, 4.4])
+@pytest.mark.parametrize("phase", [0.3, pytest.param(2.5, marks=pytest.mark.slow), 4.4])
 def test_no_record_shares_its_phase_with_another(start, phase):
     physics = lgssm(A=[[0.9]], B=[[0.5]], C=[[1.0]], inputs=["u0"], outputs=["y0"])
     name, numbers = "periodic_sensor_error", {"amplitude": [0.6], "frequency": 0.11}

@@ -1,6 +1,6 @@
 """Numbers for every effect of an arm, and compiled steps of the arm with one of them."""
 
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -46,6 +46,7 @@ def samples(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return x, u
 
 
+@cache
 def effect(name: str) -> Effect:
     return next(e for e in arm_effects(arm()) if e.name == name)
 
@@ -55,16 +56,24 @@ def changed(name: str, physics: Physics, neutral: bool = False) -> Physics:
 
 
 @cache
+def program(name: str | None, backend: str, euler: bool):
+    """The arm, and (its numbers, x, u) `[batch, ...]` with one effect to the next states and their outputs."""
+    physics = arm(backend=backend, **({"integrator": "euler", "dt": DT, "limits": False} if euler else {}))
+    whole = physics if name is None else changed(name, physics)
+
+    def both(params, x, u):
+        new = whole.step(params, x, u)
+        return new, whole.measure(params, new, u)
+
+    return physics, quick_jit(jax.vmap(both, (None, 0, 0)))
+
+
+@cache
 def mapped(name: str | None, backend: str = "pinocchio", neutral: bool = False, euler: bool = False):
     """(x, u) `[batch, ...]` to the next states and their outputs. Pinocchio's backend compiles in no time."""
-    physics = arm(backend=backend, **({"integrator": "euler", "dt": DT, "limits": False} if euler else {}))
+    physics, step = program(name, backend, euler)
     physics = physics if name is None else changed(name, physics, neutral)
-
-    def both(x, u):
-        new = physics.step(physics.params, x, u)
-        return new, physics.measure(physics.params, new, u)
-
-    return quick_jit(jax.vmap(both))
+    return partial(step, jax.tree.map(np.asarray, physics.params))
 
 
 def backend_of(name: str) -> str:

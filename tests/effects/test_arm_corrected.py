@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_cases import NUMBERS
+from toys import quick_jit
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.effects.arm_common import points_of
@@ -42,12 +43,14 @@ def test_torques_of_rigid_bodies_are_those_of_the_physics(gravity, tmp_path):
     expected = np.array([pin.rnea(model, data, *one).copy() for one in zip(wrapped, v, a, strict=True)])
     points = points_of(physics)
     params = jax.tree.map(jnp.asarray, physics.params)
-    place = jax.vmap(lambda reading: points.position(params, reading))(jnp.asarray(wrapped))
-    extra = points.masses(params)
-    bare = extra._replace(rotor=None)
-    armature = points.tables.armature[:, None] * a.T
-    found = points.inverse(params, place.T, jnp.asarray(v.T), jnp.asarray(a.T), bare) - armature
-    np.testing.assert_allclose(found.T, expected, rtol=1e-9, atol=1e-9)
+
+    def torques(params, readings, v, a):
+        place = jax.vmap(lambda reading: points.position(params, reading))(readings)
+        bare = points.masses(params)._replace(rotor=None)
+        return points.inverse(params, place.T, v.T, a.T, bare).T - points.tables.armature[None] * a
+
+    found = quick_jit(torques)(params, jnp.asarray(wrapped), v, a)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_damping_and_friction_stand_on_the_link_side(tmp_path):

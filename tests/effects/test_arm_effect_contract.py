@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from toys import quick_jit
 
 from pgrssnn_jax.effects.arm import arm_effects
-from pgrssnn_jax.effects.base import SignalRange, add
+from pgrssnn_jax.effects.base import Effect, SignalRange, add
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.check import check_physics
@@ -30,7 +30,7 @@ def test_the_arms_effects_have_their_names():
 def test_neutral_numbers_change_nothing(name, seed):
     backend = backend_of(name)
     with jax.enable_x64(True):
-        given_ = samples(8, seed)
+        given_ = samples(20, seed)
         (x, y), (expected_x, expected_y) = (mapped(n, backend, True)(*given_) for n in (name, None))
     np.testing.assert_allclose(x, expected_x, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(y, expected_y, rtol=1e-11, atol=1e-12)
@@ -49,8 +49,8 @@ def test_known_disturbances_are_not_looked_for():
     assert {e.name for e in arm_effects(known)} == NAMES - {"velocity_disturbance", "torque_bias"}
 
 
-@pytest.fixture
-def crane(tmp_path) -> Physics:
+@pytest.fixture(scope="module")
+def crane(tmp_path_factory) -> Physics:
     """Two joints from a URDF."""
     link = "<inertial><origin xyz='0.1 0 0.3'/><mass value='2'/><inertia ixx='.1' iyy='.1' izz='.1' {}/></inertial>"
     link = link.format("ixy='0' ixz='0' iyz='0'")
@@ -59,7 +59,7 @@ def crane(tmp_path) -> Physics:
     )
     parts = [f"<link name='{name}'>{link}</link>" for name in ("boom", "jib")]
     parts += [joint.format(*pair) for pair in (("base", "boom"), ("boom", "jib"))]
-    file = tmp_path / "crane.urdf"
+    file = tmp_path_factory.mktemp("arm") / "crane.urdf"
     file.write_text(f"<robot name='crane'><link name='base'/>{''.join(parts)}</robot>")
     return arm(urdf=file)
 
@@ -76,10 +76,15 @@ def test_any_arm_takes_its_effects(crane):
     check_physics(add(crane, *effects), "crane")
 
 
+@pytest.fixture(scope="module")
+def arms(crane) -> list[tuple[Physics, list[Effect]]]:
+    return [(physics, arm_effects(physics)) for physics in (arm(), crane)]
+
+
 @pytest.mark.parametrize("name", sorted(NAMES))
-def test_fits_start_from_numbers_that_an_effect_may_have(name, crane):
-    for physics in (arm(), crane):
-        for one in (e for e in arm_effects(physics) if e.name == name):
+def test_fits_start_from_numbers_that_an_effect_may_have(name, arms):
+    for physics, effects in arms:
+        for one in (e for e in effects if e.name == name):
             starts = one.initial_guesses(signal_range_of(physics))
             assert starts
             for start in starts:
@@ -149,6 +154,7 @@ def test_derivatives_by_all_numbers_are_those_of_finite_differences_in_both_mode
         np.testing.assert_allclose(mine, expected, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.compiles
 def test_derivatives_at_neutral_numbers_are_finite():
     physics = arm(derivatives="forward")
     physics = add(physics, *arm_effects(physics))

@@ -58,7 +58,7 @@ TORQUES = {
 
 @pytest.mark.parametrize(("name", "backend"), [*((name, "pinocchio") for name in TORQUES), ("wrist_coupling", "jax")])
 def test_torques_accelerate_as_in_pinocchio(name, backend):
-    x, u = samples(12)
+    x, u = samples(20)
     found = (np.asarray(mapped(name, backend, euler=True)(x, u)[0]) - x)[:, 6:] / DT
     model = pinocchio_model(KUKA)
     data = model.createData()
@@ -95,7 +95,7 @@ def leaning() -> pin.Model:
     ("name", "build"), [("payload", loaded), ("rotor_inertia", heavier), ("gravity_direction", leaning)]
 )
 def test_masses_accelerate_as_in_pinocchios_changed_model(name, build):
-    x, u = samples(12)
+    x, u = samples(20)
     found = (np.asarray(mapped(name, "jax", euler=True)(x, u)[0]) - x)[:, 6:] / DT
     model = build()
     data = model.createData()
@@ -105,7 +105,7 @@ def test_masses_accelerate_as_in_pinocchios_changed_model(name, build):
 
 def test_a_last_motor_that_turns_with_two_joints_weighs_on_both():
     """M + c I cᵀ with c = (0, 0, 0, 0, r, 1), solved as a whole."""
-    x, u = samples(12)
+    x, u = samples(20)
     inertia, c = 0.004 * G[5] ** 2, np.array([0.0, 0.0, 0.0, 0.0, 0.8, 1.0])
     heavier = add(EULER, effect("wrist_coupling"), numbers={"wrist_coupling": {"J": 0.004, "ratio": 0.8}})
     step = quick_jit(jax.vmap(lambda x, u: heavier.step(heavier.params, x, u)))
@@ -120,7 +120,7 @@ def test_a_last_motor_that_turns_with_two_joints_weighs_on_both():
 
 
 def test_a_joint_stops_at_its_limit_and_leaves_it_freely():
-    x, u = samples(60)
+    x, u = samples(20)
     (found, _), (free, _) = (mapped(name)(x, u) for name in ("joint_limit", None))
     (q, v), (q_free, v_free) = halves(np.asarray(found)), halves(np.asarray(free))
     lower, upper = NUMBERS["joint_limit"]["lower"], NUMBERS["joint_limit"]["upper"]
@@ -133,7 +133,7 @@ def test_a_joint_stops_at_its_limit_and_leaves_it_freely():
 
 
 def test_stiction_holds_slow_joints_and_lets_fast_ones_go():
-    x, u = samples(40)
+    x, u = samples(20)
     x[:, 6:] *= 0.1
     (found, _), (free, _) = (mapped(name)(x, 0.1 * u) for name in ("stiction", None))
     (q, v), (q_free, v_free) = halves(np.asarray(found)), halves(np.asarray(free))

@@ -117,7 +117,10 @@ def test_a_changed_step_is_not_assembled_again():
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("outside", ["input_offset", "input_delay", "sensor_gain", "home_offset"])
+@pytest.mark.parametrize("outside", [
+    "input_offset",
+    *(pytest.param(name, marks=pytest.mark.compiles) for name in ("input_delay", "sensor_gain", "home_offset")),
+])  # fmt: skip
 def test_effects_around_a_step_and_inside_it_come_in_any_order(outside):
     physics = arm(integrator="euler")
     inside = (PAYLOAD, wrist_coupling(6))

@@ -1,5 +1,7 @@
 """Effects of any system, around a toy with two inputs, two outputs and three states whose loop is plain NumPy."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,13 +31,22 @@ def changed(name, numbers, output_timing="after_step"):
 
 def outputs(name, numbers, output_timing="after_step", memory=()) -> np.ndarray:
     """y `[time, 2]` of the free run with an effect."""
-    physics = changed(name, numbers, output_timing)
+    params = jax.tree.map(np.float64, changed(name, numbers, output_timing).params)
+    return np.asarray(run_of(name, output_timing)(params, np.concatenate([X0, memory]), U))
 
-    def body(x, u):
-        new = physics.step(physics.params, x, u)
-        return new, physics.measure(physics.params, new if output_timing == "after_step" else x, u)
 
-    return np.asarray(quick_jit(lambda x, u: jax.lax.scan(body, x, u)[1])(np.concatenate([X0, memory]), U))
+@cache
+def run_of(name, output_timing):
+    physics = changed(name, {}, output_timing)
+
+    def run(params, x, u):
+        def body(x, u):
+            new = physics.step(params, x, u)
+            return new, physics.measure(params, new if output_timing == "after_step" else x, u)
+
+        return jax.lax.scan(body, x, u)[1]
+
+    return quick_jit(run)
 
 
 def plain(u_step, u_measure=None, output_timing="after_step") -> np.ndarray:
@@ -149,16 +160,22 @@ def test_a_step_between_samples_moves_a_mass_as_much(delay):
 @pytest.mark.parametrize("samples", [0.3, 2.0, 15.0])
 def test_a_lag_is_the_mean_of_the_first_order_system_over_each_sample(samples):
     """From 5000 small steps of dz/dt = (u - z) / T by the implicit midpoint rule, T in samples."""
-    z, steps, means = np.array([0.5, -1.0]), 5000, []
-    for u in U:
-        middles = []
-        for _ in range(steps):
-            after = ((2 * samples * steps - 1) * z + 2 * u) / (2 * samples * steps + 1)
-            middles.append((z + after) / 2)
-            z = after
-        means.append(np.mean(middles, 0))
+    means = np.asarray(means_of(samples, np.array([0.5, -1.0])))
     found = outputs("input_lag", {"time_constant": [samples * DT] * 2}, memory=np.array([0.5, -1.0]))
-    np.testing.assert_allclose(found, plain(np.array(means), U), rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(found, plain(means, U), rtol=1e-7, atol=1e-9)
+
+
+@quick_jit
+def means_of(samples, z, steps=5000):
+    def sample(z, u):
+        def tiny(z, _):
+            after = ((2 * samples * steps - 1) * z + 2 * u) / (2 * samples * steps + 1)
+            return after, (z + after) / 2
+
+        z, middles = jax.lax.scan(tiny, z, length=5000)
+        return z, middles.mean(0)
+
+    return jax.lax.scan(sample, z, U)[1]
 
 
 def test_memories_say_which_input_they_hold():
@@ -175,7 +192,7 @@ def test_a_lag_has_a_finite_slope_where_there_is_none():
     def of(tau):
         return physics.params._replace(effects={"input_lag": {"time_constant": tau}})
 
-    slope = jax.jacfwd(lambda tau: physics.step(of(tau), x, u))(0.0)
+    slope = quick_jit(jax.jacfwd(lambda tau: physics.step(of(tau), x, u)))(0.0)
     assert np.isfinite(slope).all()
 
 

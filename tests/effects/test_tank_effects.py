@@ -1,5 +1,7 @@
 """Effects of the tanks against a plant in NumPy with forty steps per sample, in which they act all the time."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ from toys import quick_jit
 
 from pgrssnn_jax.effects.base import Effect, SignalRange, add
 from pgrssnn_jax.effects.tanks import tank_effects
+from pgrssnn_jax.physics.base import Params, Physics
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 pytestmark = pytest.mark.usefixtures("x64")
@@ -32,30 +35,43 @@ def tanks():
     return cascaded_tanks(integrator="rk4")
 
 
+@cache
 def effect(name: str) -> Effect:
     return next(e for e in tank_effects(tanks()) if e.name == name)
 
 
-def levels(name: str | None, numbers: dict | None = None, u=U, start=START) -> np.ndarray:
-    """States `[time, 2]` of the free run."""
-    physics = tanks()
-    if name is not None:
-        physics = add(physics, effect(name), numbers=None if numbers is None else {name: numbers})
+@cache
+def changed(name: str | None) -> Physics:
+    return tanks() if name is None else add(tanks(), effect(name), numbers={name: CASES[name][0]})
 
+
+def numbers_of(name: str | None, numbers: dict | None) -> Params:
+    """Of the tanks with the effect; its own by default."""
+    physics = changed(name) if numbers is None else add(tanks(), effect(name), numbers={name: numbers})
+    return jax.tree.map(jnp.asarray, physics.params)
+
+
+@cache
+def free_run(name: str | None):
     def run(params, start, u):
         def body(x, v):
-            x = physics.step(params, x, v)
+            x = changed(name).step(params, x, v)
             return x, x
 
         return jax.lax.scan(body, start, u)[1]
 
-    return np.asarray(quick_jit(run)(physics.params, jnp.asarray(start), jnp.asarray(u)[:, None]))
+    return quick_jit(run)
+
+
+def levels(name: str | None, numbers: dict | None = None, u=U, start=START) -> np.ndarray:
+    """States `[time, 2]` of the free run."""
+    return np.asarray(free_run(name)(numbers_of(name, numbers), jnp.asarray(start), jnp.asarray(u)[:, None]))
 
 
 def step(name: str | None, x, u, numbers: dict | None = None) -> np.ndarray:
-    physics = tanks() if name is None else add(tanks(), effect(name), numbers={name: numbers or CASES[name][0]})
-    params = jax.tree.map(jnp.asarray, physics.params)
-    return np.asarray(jax.vmap(physics.step, (None, 0, 0))(params, jnp.asarray(x), jnp.asarray(u)))
+    """Not compiled as a whole, which would round each physics in its own way."""
+    each = jax.vmap(changed(name).step, (None, 0, 0))
+    return np.asarray(each(numbers_of(name, numbers), jnp.asarray(x), jnp.asarray(u)))
 
 
 def many(seed: int, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
@@ -135,9 +151,9 @@ def test_a_bypass_takes_from_the_upper_tank_what_it_gives_to_the_lower():
 def test_empty_tanks_have_finite_derivatives(name):
     one = effect(name)
     reach = SignalRange(np.array([[1.0, 1.0], [6.0, 6.0]]), np.array([[0.0], [5.0]]), np.array([[1.0], [6.0]]))
+    slopes = quick_jit(jax.jacfwd(changed(name).step, (0, 1)))
     for numbers in (one.neutral(), *one.initial_guesses(reach)):
-        physics = add(tanks(), one, numbers={name: numbers})
-        found = jax.jacfwd(physics.step, (0, 1))(physics.params, jnp.zeros(2), jnp.zeros(1))
+        found = slopes(numbers_of(name, numbers), jnp.zeros(2), jnp.zeros(1))
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(found))
 
 

@@ -10,13 +10,14 @@ from flax import nnx
 from small import small_fit
 from toys import TOY_PARAMS, quick_jit, toy_measure, toy_model, toy_params, toy_signals, toy_step
 
+from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.radial import Radial, gaussians, scarcity, surrogate_points
 from pgrssnn_jax.models.rollout import rollout
 from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.training.members import select
-from pgrssnn_jax.training.objective import Trainable
+from pgrssnn_jax.training.objective import Objective, Trainable, build_objective
 from pgrssnn_jax.training.settings import FitSettings
 
 W_PGNN = partial(ModelSpec, recurrent=False, feedback=True, features="radial", hidden=5)
@@ -35,9 +36,9 @@ def case():
 
 def test_the_features_are_gaussians(case):
     z, centres, width = case
-    found = gaussians(*(jnp.asarray(a, jnp.float32) for a in case))
+    found = quick_jit(gaussians)(*(jnp.asarray(a, jnp.float32) for a in case))
     np.testing.assert_allclose(found, by_hand(z, centres, width), rtol=1e-5)
-    at_centres = gaussians(*(jnp.asarray(a, jnp.float32) for a in (centres, centres, width)))
+    at_centres = quick_jit(gaussians)(*(jnp.asarray(a, jnp.float32) for a in (centres, centres, width)))
     np.testing.assert_allclose(np.diag(at_centres), 1.0, rtol=1e-6)
 
 
@@ -45,10 +46,11 @@ def test_far_away_they_vanish_with_all_their_slopes():
     def total(z, centres, width):
         return gaussians(z, centres, width).sum()
 
+    both = quick_jit(jax.value_and_grad(total, (0, 1, 2)))
     for far in (30.0, 1e6, 1e15):
-        args = jnp.full((1, 2), far), jnp.zeros((3, 2)), jnp.ones(3)
-        assert total(*args) == 0
-        assert not any(np.asarray(slope).any() for slope in jax.grad(total, (0, 1, 2))(*args))
+        value, slopes = both(np.full((1, 2), far, np.float32), np.zeros((3, 2), np.float32), np.ones(3, np.float32))
+        assert value == 0
+        assert not any(np.asarray(slope).any() for slope in slopes)
 
 
 def test_centres_start_in_the_range_of_scaled_signals_and_widths_stay_positive(key):
@@ -135,17 +137,17 @@ def test_what_does_not_fit_together_is_named(fields, problem):
 
 
 def test_a_point_without_samples_weighs_one_and_one_among_many_next_to_nothing():
-    points = jnp.array([[0.0, 0.0], [8.0, 0.0]])
-    weight = scarcity(points, jnp.zeros((100, 2)), jnp.ones(100, bool))
+    points, weigh = jnp.array([[0.0, 0.0], [8.0, 0.0]]), quick_jit(scarcity)
+    weight = weigh(points, jnp.zeros((100, 2)), jnp.ones(100, bool))
     np.testing.assert_allclose(weight, [1 / 101, 1.0], rtol=1e-5)
     # padding is no sample
-    weight = scarcity(points, jnp.zeros((100, 2)), jnp.arange(100) < 9)
+    weight = weigh(points, jnp.zeros((100, 2)), jnp.arange(100) < 9)
     np.testing.assert_allclose(weight, [1 / 10, 1.0], rtol=1e-5)
 
 
 def test_of_a_long_record_every_n_th_sample_stands_for_n():
     samples = jnp.zeros((5000, 2))
-    np.testing.assert_allclose(scarcity(samples[:1], samples, jnp.ones(5000, bool)), 1 / 5001, rtol=1e-3)
+    np.testing.assert_allclose(quick_jit(scarcity)(samples[:1], samples, jnp.ones(5000, bool)), 1 / 5001, rtol=1e-3)
 
 
 def test_surrogate_points_are_always_the_same_and_reach_beyond_the_signals():
@@ -157,23 +159,32 @@ def test_surrogate_points_are_always_the_same_and_reach_beyond_the_signals():
 
 
 @pytest.fixture(scope="module")
-def fits():
-    """The same members with and without regularisation."""
-    settings = FitSettings(epochs=1)
-    return [small_fit(spec=W_PGNN(regularisation=weight), settings=settings, members=1) for weight in (0.0, 0.7)]
+def one():
+    """The data of one member."""
+    return select(small_fit(settings=FitSettings(epochs=1), members=1)[1], 0)
 
 
-def test_the_penalty_is_the_weighted_mean_square_of_both_corrections(key, fits):
-    (plain, data), (fit, _) = fits
-    one = select(data, 0)
-    theta = jax.jit(fit.objective.begin)(key, one)
-    losses = [quick_jit(f.objective.on_train)(theta, one) for f in (plain, fit)]
-    validation = [quick_jit(f.objective.on_validation)(theta, one) for f in (plain, fit)]
-    objective, scaling = fit.objective, one.scaling
-    x = rollout(
-        objective.model, objective.assemble(theta, scaling), one.train.u, jnp.full((1, 2), one.train.y[0, 0, 0])
-    ).x
-    z = np.concatenate([scaling.u.to_scaled(one.train.u)[0], scaling.x.to_scaled(x)[0]], -1)
+def objective_of(spec: ModelSpec) -> Objective:
+    return build_objective(build_model(spec, cascaded_tanks()), InitialState("first_output"))
+
+
+def test_the_penalty_is_the_weighted_mean_square_of_both_corrections(key, one):
+    """Of the same member with and without regularisation."""
+    plain, objective = (objective_of(W_PGNN(regularisation=weight)) for weight in (0.0, 0.7))
+    scaling, x0 = one.scaling, jnp.full((1, 2), one.train.y[0, 0, 0])
+
+    @quick_jit
+    def all_of_it(key, one):
+        theta = objective.begin(key, one)
+        losses = [(o.on_train(theta, one), o.on_validation(theta, one)) for o in (plain, objective)]
+        return (
+            theta,
+            *zip(*losses, strict=True),
+            rollout(objective.model, objective.assemble(theta, scaling), one.train.u, x0).x,
+        )
+
+    theta, losses, validation, x = all_of_it(key, one)
+    z = np.concatenate([scaling.u.to_scaled(one.train.u)[0], scaling.x.to_scaled(np.asarray(x))[0]], -1)
     points, width = surrogate_points(3), 3**0.5 / 2
     weight = 1 / (1 + by_hand(points, z, width).sum(-1))
     w = jax.tree.map(np.asarray, nnx.to_pure_dict(theta.network))
@@ -189,16 +200,18 @@ def test_the_penalty_is_the_weighted_mean_square_of_both_corrections(key, fits):
     assert validation[0] == validation[1]
 
 
-def test_the_physics_is_not_penalised_and_a_black_box_never_is(key):
-    zero, _ = small_fit(spec=W_PGNN(regularisation=1e3, start_from_physics=True), members=1)
-    black, data = small_fit(spec=W_PGNN(regularisation=1e3, guided=False), members=1)
-    alone, _ = small_fit(spec=W_PGNN(guided=False), members=1)
-    one = select(data, 0)
-    theta = black.objective.begin(key, one)
-    totals = [f.objective.on_train(theta, one).total for f in (black, alone)]
-    assert totals[0] == totals[1]
-    start = zero.objective.begin(key, one)
-    loss = zero.objective.on_train(start, one)
+def test_the_physics_is_not_penalised_and_a_black_box_never_is(key, one):
+    zero = objective_of(W_PGNN(regularisation=1e3, start_from_physics=True))
+    black, alone = (objective_of(W_PGNN(regularisation=weight, guided=False)) for weight in (1e3, 0.0))
+    physics = objective_of(ModelSpec(networks=False))
+
+    @quick_jit
+    def losses(key, one):
+        theta, start = black.begin(key, one), zero.begin(key, one)
+        by = (black, theta), (alone, theta), (zero, start), (physics, Trainable({}, None, None))
+        return [objective.on_train(numbers, one) for objective, numbers in by]
+
+    *totals, loss, bare = losses(key, one)
+    assert totals[0].total == totals[1].total
     np.testing.assert_allclose(loss.total, 48 * loss.mean, rtol=1e-5)
-    physics, _ = small_fit(spec=ModelSpec(networks=False), members=1)
-    np.testing.assert_allclose(loss.mean, physics.objective.on_train(Trainable({}, None, None), one).mean, rtol=1e-5)
+    np.testing.assert_allclose(loss.mean, bare.mean, rtol=1e-5)

@@ -31,9 +31,14 @@ SPECS = {
 ROUTES = ("fused", "split", *(["native"] if missing_kernels() is None else []))
 
 
-@pytest.mark.parametrize("fields", SPECS.values(), ids=SPECS)
-def test_routes_agree_in_single_precision(key, fields):
-    model = toy_model(fields)
+def one_of_a_kind(*names: str):
+    """The others run the same lines again, here and in tests of the rollout."""
+    return [name if name in names else pytest.param(name, marks=pytest.mark.compiles) for name in SPECS]
+
+
+@pytest.mark.parametrize("name", one_of_a_kind("PG-RSSNN", "RSSNN-sgm", "two layers with biases", "dense", "physics"))
+def test_routes_agree_in_single_precision(key, name):
+    model = toy_model(SPECS[name])
     params, (u, x0) = toy_params(model, key), toy_signals()
     fused, *others = (compiled_rollout(model, route)(params, u, x0) for route in ROUTES)
     for other in others:
@@ -43,9 +48,11 @@ def test_routes_agree_in_single_precision(key, fields):
 
 # 7 samples: one by one, with a rest, and in more than there are
 @pytest.mark.parametrize(("name", "output_timing", "chunk"), [
-    ("two layers with biases", "after_step", 3), ("two layers with biases", "before_step", 1),
-    ("PG-RSSNN(fb)", "before_step", 3), ("RSSNN-sgm", "after_step", 3), ("dense", "before_step", 50),
-    ("physics", "before_step", 3), ("PG-RSSNN", "after_step", "auto"),
+    pytest.param("two layers with biases", "after_step", 3, marks=pytest.mark.compiles),
+    pytest.param("two layers with biases", "before_step", 1, marks=pytest.mark.compiles),
+    ("PG-RSSNN(fb)", "before_step", 3), ("RSSNN-sgm", "after_step", 3),
+    pytest.param("dense", "before_step", 50, marks=pytest.mark.compiles),
+    pytest.param("physics", "before_step", 3, marks=pytest.mark.compiles), ("PG-RSSNN", "after_step", "auto"),
 ])  # fmt: skip
 def test_chunks_and_devices_change_nothing(key, name, chunk, output_timing):
     model = toy_model(SPECS.get(name) or spec(name))
@@ -53,25 +60,29 @@ def test_chunks_and_devices_change_nothing(key, name, chunk, output_timing):
     params, (u, x0) = toy_params(model, key), toy_signals()
     valid = jnp.arange(7)[None] < jnp.array([[7], [4], [1]])
 
-    def run(params, u, x0, **how):
-        y, x, first_bad = quick_jit(lambda *a: rollout(model, *a[:-1], valid=a[-1], **how))(params, u, x0, valid)
-        return y[valid], x[valid], first_bad  # a black box's state is not held by every route
+    routes = ROUTES[:1] if model.spec.feedback else ROUTES
+    ways = [{"route": route, "chunk": chunk, "devices": devices} for route in routes for devices in (1, 2)]
 
-    whole = run(params, u, x0)
-    for route in ROUTES[:1] if model.spec.feedback else ROUTES:
-        for devices in (1, 2):  # three sequences: one device has a copy of the last to compute
-            for a, b in zip(whole, run(params, u, x0, route=route, chunk=chunk, devices=devices), strict=True):
-                np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
+    def runs(*args):  # three sequences: one device has a copy of the last to compute
+        return [rollout(model, *args, valid=valid, **how) for how in ({}, *ways)]
+
+    # a black box's state is not held by every route
+    whole, *others = ((run.y[valid], run.x[valid], run.first_bad) for run in quick_jit(runs)(params, u, x0))
+    for other in others:
+        for a, b in zip(whole, other, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-5, atol=2e-6)
 
 
+@pytest.mark.compiles
 def test_gradients_pass_from_chunk_to_chunk(key):
     model = toy_model(SPECS["two layers with biases"])
     params, (u, x0) = toy_params(model, key), toy_signals()
 
-    def slopes(chunk):
-        return quick_jit(jax.grad(lambda *a: jnp.sum(rollout(model, *a, chunk=chunk).y ** 2), (0, 1, 2)))(params, u, x0)
+    def slopes(chunk, *args):
+        return jax.grad(lambda *a: jnp.sum(rollout(model, *a, chunk=chunk).y ** 2), (0, 1, 2))(*args)
 
-    for a, b in zip(*(jax.tree.leaves(slopes(chunk)) for chunk in (None, 3)), strict=True):
+    both = quick_jit(lambda *args: [jax.tree.leaves(slopes(chunk, *args)) for chunk in (None, 3)])(params, u, x0)
+    for a, b in zip(*both, strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
 
 
@@ -85,7 +96,9 @@ def test_chunks_and_devices_that_cannot_be_are_refused(key, how, said):
         rollout(model, toy_params(model, key), *toy_signals(), **how)
 
 
-@pytest.mark.parametrize("name", ["two layers with biases", "RSSNN-sgm", "dense", "physics"])
+@pytest.mark.parametrize("name", [
+    "two layers with biases", *(pytest.param(n, marks=pytest.mark.compiles) for n in ("RSSNN-sgm", "dense")), "physics",
+])  # fmt: skip
 def test_gradients_of_the_routes_agree(key, name):
     model = toy_model(SPECS[name])
     params, (u, x0) = toy_params(model, key), toy_signals()

@@ -1,10 +1,9 @@
 """When the plant is read, and how a rollout reports what leaves the floating-point range."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from toys import compiled_rollout, spec, toy_model, toy_params, toy_signals
+from toys import compiled_rollout, quick_jit, spec, toy_model, toy_params, toy_signals
 
 from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
@@ -19,7 +18,7 @@ LINEAR = lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]])
 def alone(physics, u, x0):
     scaling = Scaling(*(identity(len(s)) for s in (physics.inputs, physics.states, physics.outputs)))
     model = build_model(ModelSpec(networks=False), physics)
-    return rollout(model, ModelParams({}, physics.params, scaling), u, x0)
+    return compiled_rollout(model)(ModelParams({}, physics.params, scaling), u, x0)
 
 
 def test_a_linear_plant_at_rest_stays_there_without_input():
@@ -44,7 +43,7 @@ def test_a_state_that_leaves_the_range_is_reported_and_disturbs_no_other(key, na
     )
     scaling = Scaling(identity(1), identity(1), identity(1))
     params = ModelParams(model.init(key), physics.params, scaling)
-    run = jax.jit(lambda x0: rollout(model, params, jnp.zeros((3, 9, 1)), x0))
+    run = quick_jit(lambda x0: rollout(model, params, jnp.zeros((3, 9, 1)), x0))
     found = run(jnp.array([[1e-2], [0.0], [1.0]]))
     calm = run(jnp.zeros((3, 1)))
     # with feedback the networks overflow no earlier than the state they see

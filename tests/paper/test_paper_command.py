@@ -5,7 +5,7 @@ import io
 import threading
 
 import pytest
-from commands import command, composed
+from commands import called, command, composed
 from omegaconf import OmegaConf
 from paper_samples import begin_run, spread_over, write_run
 from rich.console import Console
@@ -120,7 +120,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(sweeps, monkeypatch, setti
 
 
 def test_bad_input_ends_with_exit_code_2(tmp_path):
-    code, _, err = command("runs=nowhere", cwd=tmp_path, script="report.py")
+    code, _, err = called("runs=nowhere", cwd=tmp_path, script="report.py")
     assert code == 2
     assert err == "error: runs: expected a folder, or several with commas between them, found 'nowhere'\n"
     assert list(tmp_path.iterdir()) == []

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.signal
+from toys import quick_jit
 
 from pgrssnn_jax.models.model import ModelParams, build_model
 from pgrssnn_jax.models.rollout import rollout
@@ -21,7 +22,8 @@ WIDE = {
 def simulate(physics, u, x0):
     scaling = Scaling(*(identity(len(s)) for s in (physics.inputs, physics.states, physics.outputs)))
     model = build_model(ModelSpec(networks=False), physics)
-    return rollout(model, ModelParams({}, physics.params, scaling), jnp.asarray(u), jnp.asarray(x0))
+    run = quick_jit(lambda params, u, x0: rollout(model, params, u, x0))
+    return run(ModelParams({}, physics.params, scaling), jnp.asarray(u), jnp.asarray(x0))
 
 
 @pytest.mark.usefixtures("x64")

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from toys import TOY_PARAMS, toy_physics
+from toys import TOY_PARAMS, quick_jit, toy_physics
 
 from pgrssnn_jax.effects.base import Effect, add, effects_of, on_output, own_of
 from pgrssnn_jax.effects.stored import physics_to_json, stored_physics
@@ -22,9 +22,12 @@ def one_step(physics: Physics, seed: int = 0) -> np.ndarray:
     """Next states and outputs at some point with positive levels."""
     draw = np.random.default_rng(seed)
     x, u = (jnp.asarray(draw.uniform(1.0, 9.0, len(s))) for s in (physics.states, physics.inputs))
-    params = jax.tree.map(jnp.asarray, physics.params)
-    new = physics.step(params, x, u)
-    return np.concatenate([new, physics.measure(params, new, u)])
+
+    def moved(params, x, u):
+        new = physics.step(params, x, u)
+        return jnp.concatenate([new, physics.measure(params, new, u)])
+
+    return np.asarray(quick_jit(moved)(jax.tree.map(jnp.asarray, physics.params), x, u))
 
 
 def assert_same(one: Physics, other: Physics) -> None:

@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 from commands import planned
 from small import simulated, small_fit
+from toys import quick_jit
 
 from pgrssnn_jax.models.initial_state import InitialState
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 from pgrssnn_jax.records.build import record_from
 from pgrssnn_jax.records.record import Record, cast, crop, stack
 from pgrssnn_jax.records.splits import by_dataset, cut_windows, estimation_parts, kfold_masks, split_tail
 from pgrssnn_jax.training.members import select
+from pgrssnn_jax.training.settings import FitSettings
 
 SAMPLES, TRAINED = 50, 35
+ALONE, TRAINED_PHYSICS = ModelSpec(networks=False), FitSettings(physics_parameters="trained")  # compile quickly
 
 
 def measured_once() -> Record:
@@ -52,29 +56,33 @@ def test_a_member_is_determined_by_its_seed_and_blocks_are_set_aside_whole() -> 
 
 @pytest.mark.parametrize("start", ["first_output", "estimated"])
 def test_what_a_member_sets_aside_does_not_reach_its_training(start: str) -> None:
-    fit, data = small_fit(initial=InitialState(start, 5), members=1)
+    fit, data = small_fit(spec=ALONE, settings=TRAINED_PHYSICS, initial=InitialState(start, 5), members=1)
     train, validation = shared(measured_once(), [0], 5, 5)
     data = select(data._replace(train=train, validation=validation), 0)
     other = data._replace(train=data.train._replace(y=np.where(data.train.mask, data.train.y, 9.0)))
-    theta, changed = (jax.jit(fit.objective.begin)(jax.random.key(0), d) for d in (data, other))
-    gradient = jax.jit(jax.grad(lambda theta, d: fit.objective.on_train(theta, d).total))
-    seen, unseen = (theta, gradient(theta, data)), (changed, gradient(changed, other))
+
+    @quick_jit
+    def begun(data):
+        theta = fit.objective.begin(jax.random.key(0), data)
+        return theta, jax.grad(lambda theta: fit.objective.on_train(theta, data).total)(theta)
+
+    seen, unseen = begun(data), begun(other)
     for a, b in zip(jax.tree.leaves(seen), jax.tree.leaves(unseen), strict=True):
         assert np.array_equal(a, b)
 
 
 def test_the_errors_set_aside_add_up_to_those_of_one_run_over_the_whole_record() -> None:
     whole, folds = cast(simulated(cascaded_tanks(), samples=SAMPLES, seed=1, noise=0.1), np.float32), 4
-    fit, data = small_fit(initial=InitialState("zero"), members=1)
+    fit, data = small_fit(spec=ALONE, settings=TRAINED_PHYSICS, initial=InitialState("zero"), members=1)
     data = select(data, 0)
-    theta = fit.objective.begin(jax.random.key(0), data)
+    theta = quick_jit(fit.objective.begin)(jax.random.key(0), data)
+    validated = quick_jit(lambda data: fit.objective.on_validation(theta, data).mean)
     train, validation = shared(whole, list(range(folds)), folds, 6)
     aside = 0.0
     for member in range(folds):
         own = data._replace(train=select(train, member), validation=select(validation, member))
-        loss = fit.objective.on_validation(theta, own)
-        aside += float(loss.mean) * own.validation.mask.sum()
-    together = float(fit.objective.on_train(theta, data._replace(train=whole)).total)
+        aside += float(validated(own)) * own.validation.mask.sum()
+    together = float(quick_jit(fit.objective.on_train)(theta, data._replace(train=whole)).total)
     np.testing.assert_allclose(aside, together, rtol=1e-5)
 
 

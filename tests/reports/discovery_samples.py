@@ -267,7 +267,7 @@ SAD = {
     "no arrays at all": (bare_discovery(), {}),
     "one sample": tank_discovery(samples=1),
     "every value NaN": (TANK[0], {n: without_values(n, a) for n, a in TANK[1].items()}),
-    "null law and threshold missing": (ARM[0] | {"null": None}, {n: a for n, a in ARM[1].items() if n != "null_law"}),
+    "null law and threshold missing": (TANK[0] | {"null": None}, {n: a for n, a in TANK[1].items() if n != "null_law"}),
     "nothing measured": (TANK[0], TANK[1] | {f"mask_{p}": np.zeros((1, 120, 1), bool) for p in ("train", "test")}),
     "a simulation that overflows": (TANK[0], TANK[1] | {"y_before_test": np.full((1, 120, 1), np.inf)}),
 }

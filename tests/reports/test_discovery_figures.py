@@ -18,7 +18,10 @@ def named(figure: Figure, gid: str) -> list[Any]:
     return figure.findobj(lambda artist: artist.get_gid() == gid)
 
 
-@pytest.mark.parametrize("name", SAD)
+ALIKE = ("no arrays at all", "one sample", "nothing measured")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] if n in ALIKE else []) for n in SAD])
 def test_gaps_in_the_data_do_not_stop_a_figure(name):
     for figure in figures.discovery_figures(*SAD[name]).values():
         assert "nan" not in texts(figure).lower()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import without_pictures
 from discovery_samples import ARM, SAD, TANK, bare_discovery
 from rich.console import Console
 from test_report_page import Reader
@@ -46,7 +47,7 @@ def printed(discovery, width: int = 80) -> str:
     return paper.getvalue()
 
 
-@pytest.mark.parametrize("run", [TANK, ARM], ids=["tank", "arm"])
+@pytest.mark.parametrize("run", [TANK, pytest.param(ARM, marks=pytest.mark.slow)], ids=["tank", "arm"])
 def test_the_page_holds_everything_itself(tmp_path, run):
     text = write(tmp_path, run)
     reader = Reader(text)
@@ -97,7 +98,8 @@ def test_everything_given_is_escaped():
 
 def test_the_numbers_are_those_of_the_discovery(tmp_path):
     found, _ = TANK
-    reader = Reader(write(tmp_path, TANK))
+    with without_pictures():
+        reader = Reader(write(tmp_path, TANK))
     effect, gap = found["effects"][0], found["gap"]
     shown = [gap[s][p] for s in ("before", "recalibrated", "after") for p in ("train", "test")]
     shown += [v for interval in gap["test_interval"].values() for v in interval] + [gap["floor"]]
@@ -244,7 +246,8 @@ def test_a_long_table_is_folded_but_all_there():
 
 
 def test_reproducing_names_the_commit_and_the_configuration(tmp_path):
-    text = Reader(write(tmp_path, TANK, config="seed: 7\n")).text
+    with without_pictures():
+        text = Reader(write(tmp_path, TANK, config="seed: 7\n")).text
     assert "git checkout 0123abcd" in text
     assert "python discover.py" in text
     assert "seed: 7" in text

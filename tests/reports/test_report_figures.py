@@ -1,6 +1,7 @@
 """Figures say what they show: units on every axis, the result, the source, failed members; at every size."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -37,11 +38,18 @@ def all_figures(run) -> dict[str, Figure]:
     }
 
 
-@pytest.mark.parametrize("name", SMALL)
+@cache
+def drawn(name: str) -> dict[str, tuple[Figure, str]]:
+    """The figures of a small run and their texts; nobody may change them."""
+    return {which: (figure, texts(figure)) for which, figure in all_figures(SMALL[name]).items()}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n in ("one member", "one sample") else []) for n in SMALL]
+)
 def test_axes_carry_units_and_the_header_the_facts(name):
     run = SMALL[name]
-    for which, figure in all_figures(run).items():
-        said = texts(figure)
+    for which, (figure, said) in drawn(name).items():
         assert f"{run.metrics['system']} · pg_rssnn" in said
         assert ("SIMULATED DATA" in said) == (run.metrics["source"] == "simulated")
         count = run.metrics["summary"]["failed"]
@@ -64,7 +72,7 @@ def test_every_figure_leaves_the_global_settings_alone():
 
 def test_the_title_states_the_results_of_metrics():
     metrics = SMALL["tanks"].metrics
-    said = texts(prediction_figure(SMALL["tanks"].predictions, metrics))
+    _, said = drawn("tanks")["prediction"]
     assert f"ensemble {metrics['summary']['rmse_ensemble']:#.4g} V" in said
     assert f"members {metrics['summary']['rmse_mean']:#.4g} ±" in said
 
@@ -91,8 +99,7 @@ def test_failed_members_are_not_drawn_and_unmeasured_samples_leave_a_gap():
 
 
 def test_no_member_is_said():
-    for figure in all_figures(SMALL["all failed"]).values():
-        said = texts(figure)
+    for _, said in drawn("all failed").values():
         assert "3 OF 3 MEMBERS FAILED" in said
         assert "no member finished" in said or "no finished member" in said or "failed" in said
 
@@ -117,8 +124,8 @@ def test_members_with_other_test_records_are_not_held_against_this_one():
 
 def test_a_long_record_is_shown_through_a_window_above_its_whole_residual():
     run = SMALL["simulated"]
-    figure = prediction_figure(run.predictions, run.metrics)
-    assert "samples 0 to 299 of 1600" in texts(figure)
+    figure, said = drawn("simulated")["prediction"]
+    assert "samples 0 to 299 of 1600" in said
     top, _, whole = figure.axes
     mean = run.predictions["ensemble_mean"]
     assert len(top.lines[-1].get_ydata()) == 300
@@ -128,9 +135,9 @@ def test_a_long_record_is_shown_through_a_window_above_its_whole_residual():
 
 def test_one_pair_of_panels_per_output_of_the_first_sequence():
     run = SMALL["arm"]
-    figure = prediction_figure(run.predictions, run.metrics)
+    figure, said = drawn("arm")["prediction"]
     assert len(figure.axes) == 12
-    assert "all 40 samples, sequence 1 of 2" in texts(figure)
+    assert "all 40 samples, sequence 1 of 2" in said
     np.testing.assert_array_equal(figure.axes[0].lines[-2].get_ydata(), run.predictions["y"][0, :, 0])
 
 
@@ -216,6 +223,6 @@ def test_missing_figures_of_a_finished_member_are_drawn_around():
 
 
 def test_figures_become_png_files(tmp_path):
-    for name, figure in all_figures(SMALL["arm"]).items():
+    for name, figure in all_figures(SMALL["some failed"]).items():
         figure.savefig(tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000

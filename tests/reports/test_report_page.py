@@ -175,6 +175,7 @@ def assert_no_wider_than_its_window(folder, page):
     assert int(found[1]) <= int(found[2])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 def test_a_browser_shows_it_and_nothing_overflows(tmp_path):
     run = lgssm(members=30, samples=1600, failed=(2,))

@@ -229,6 +229,7 @@ def test_outputs_are_listed_with_the_means_over_finished_members(tmp_path):
     assert "nan" not in page(tmp_path, sad, ()).lower()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("run", [sample(samples=30), tanks(members=2, samples=30)], ids=["arm", "tanks"])
 def test_a_run_folder_with_an_arm_gets_its_pictures(tmp_path, run):
     (tmp_path / "metrics.json").write_text(json.dumps(run.metrics), encoding="utf-8")

@@ -25,7 +25,7 @@ from pgrssnn_jax.models.rollout import rollout
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("name", ["tanks", "arm"])
+@pytest.mark.parametrize("name", ["tanks", pytest.param("arm", marks=pytest.mark.compiles)])
 def test_products_counted_by_hand_are_those_of_the_program(name):
     system = SYSTEMS[name]
     model, params = model_and_params(system, system.physics())

@@ -1,7 +1,6 @@
 """What is saved comes back, and what belongs to another run does not."""
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from small import small_fit
@@ -16,9 +15,22 @@ from pgrssnn_jax.training.loop import Losses, Training, no_losses, train
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members
 from pgrssnn_jax.training.settings import FitSettings
 
+MEMBERS = [Member(i, 0) for i in range(3)]
+
 
 def begun(fit, data):
-    return quick_jit(map_members(fit.begin, MemberMapping()))(keys_of([Member(i, 0) for i in range(3)]), data)
+    return quick_jit(map_members(fit.begin, MemberMapping()))(keys_of(MEMBERS), data)
+
+
+def shaped(fit, data):
+    """What training begins with, without its numbers."""
+    return jax.eval_shape(map_members(fit.begin, MemberMapping()), keys_of(MEMBERS), data)
+
+
+def filled(shapes):
+    """Numbers of any kind, all different: what is saved need not come from training, which compiles long."""
+    draw = np.random.default_rng(0)
+    return jax.tree.map(lambda a: (100 * draw.normal(size=a.shape)).astype(a.dtype), shapes)
 
 
 def saved(state, data, losses) -> Checkpoint:
@@ -51,10 +63,10 @@ def test_state_scaling_and_losses_come_back_bit_for_bit(tmp_path, opened, kind, 
     fit, data = small_fit(
         initial=InitialState(kind, n_init=5), settings=FitSettings(physics_parameters=physics_parameters)
     )
-    state = begun(fit, data)._replace(best_loss=jnp.array([1.0, jnp.inf, jnp.nan]))
+    state = filled(shaped(fit, data))._replace(best_loss=np.float32([1.0, np.inf, np.nan]))
     losses = Losses(np.float32([[1, 2], [3, np.nan], [5, 6]]), np.full((3, 2), np.nan, np.float32))
     opened(tmp_path).save(saved(state, data, losses))
-    found = opened(tmp_path).restore(saved(begun(fit, data), data, no_losses(3)))
+    found = opened(tmp_path).restore(saved(shaped(fit, data), data, no_losses(3)))
     assert same(found.state, state)
     assert same(found.scaling, data.scaling)
     assert np.all(found.units.y.scale == 3.0)
@@ -63,7 +75,7 @@ def test_state_scaling_and_losses_come_back_bit_for_bit(tmp_path, opened, kind, 
 
 def test_the_latest_epoch_is_restored(tmp_path, opened):
     fit, data = small_fit()
-    state = begun(fit, data)
+    state = filled(shaped(fit, data))
     folder = opened(tmp_path)
     for epochs in (1, 2, 3):
         losses = Losses(np.full((3, epochs), epochs, np.float32), np.full((3, epochs), np.nan, np.float32))
@@ -73,19 +85,30 @@ def test_the_latest_epoch_is_restored(tmp_path, opened):
 
 def test_another_model_or_other_members_are_named(tmp_path, opened):
     fit, data = small_fit()
-    opened(tmp_path).save(saved(begun(fit, data), data, no_losses(3)))
+    opened(tmp_path).save(saved(filled(shaped(fit, data)), data, no_losses(3)))
     other, other_data = small_fit(spec=ModelSpec(hidden=5))
     with pytest.raises(ValueError, match="state: expected the arrays of this model"):
-        opened(tmp_path).restore(saved(begun(other, other_data), other_data, no_losses(3)))
+        opened(tmp_path).restore(saved(shaped(other, other_data), other_data, no_losses(3)))
 
 
-@pytest.mark.parametrize("devices", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_an_interrupted_and_resumed_run_ends_bit_for_bit_as_an_uninterrupted_one(tmp_path, opened, devices):
+@pytest.mark.parametrize(
+    ("devices", "spec", "physics_parameters"),
+    [
+        pytest.param(1, ModelSpec(networks=False), "trained", id="1"),
+        pytest.param(2, ModelSpec(hidden=4), "fixed", id="2", marks=pytest.mark.slow),
+    ],
+)
+def test_an_interrupted_and_resumed_run_ends_bit_for_bit_as_an_uninterrupted_one(
+    tmp_path, opened, devices, spec, physics_parameters
+):
     """Interrupted by a real signal in the middle, saved, restored into a new program, trained on."""
     import os
     import signal
 
-    fit, data = small_fit(settings=FitSettings(epochs=24, validate_every=2, chunk_epochs=4, learning_rate=1e-2))
+    settings = FitSettings(
+        epochs=24, validate_every=2, chunk_epochs=4, learning_rate=1e-2, physics_parameters=physics_parameters
+    )
+    fit, data = small_fit(spec=spec, settings=settings)
 
     def run(state, losses, on_chunk) -> Training:
         with stop_signal() as stop:

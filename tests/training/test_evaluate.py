@@ -3,12 +3,13 @@
 from functools import cache
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from small import INFO, small_fit
+from toys import quick_jit
 
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.records.record import Record, cast, record, stack
 from pgrssnn_jax.records.scaling import Affine, Units, identity, in_units
 from pgrssnn_jax.training import evaluation as evaluate
@@ -16,6 +17,7 @@ from pgrssnn_jax.training.evaluation import Predictions, Trained, predict, predi
 from pgrssnn_jax.training.members import Member, MemberMapping, keys_of, map_members, repeat
 from pgrssnn_jax.training.optimise import MemberState, MemberStatus
 from pgrssnn_jax.training.plan import MemberTests
+from pgrssnn_jax.training.settings import FitSettings
 
 MEMBERS = [Member(0, 0), Member(1, 0), Member(2, 0)]
 
@@ -26,9 +28,15 @@ def measured(samples: int = 20, seed: int = 0) -> Record:
 
 
 @cache
+def small():
+    """The physics alone with trained parameters, which compiles quickly."""
+    return small_fit(spec=ModelSpec(networks=False), settings=FitSettings(physics_parameters="trained"))
+
+
+@cache
 def begun():
-    fit, data = small_fit()
-    return jax.jit(map_members(fit.begin, MemberMapping()))(keys_of(MEMBERS), data)
+    fit, data = small()
+    return quick_jit(map_members(fit.begin, MemberMapping()))(keys_of(MEMBERS), data)
 
 
 class Case(NamedTuple):
@@ -49,7 +57,7 @@ def case(outcomes=(0, 1, 0), finite=(True, True, True)) -> Case:
 
 
 def trained(state: MemberState, units: Units | None = None, start: np.ndarray | None = None) -> Trained:
-    fit, data = small_fit()
+    fit, data = small()
     units = units or Units(*(repeat(identity(1), 3) for _ in range(2)))
     start = np.full((3, 2), np.nan) if start is None else start
     return Trained(fit.objective, MemberMapping(), MEMBERS, state, data.scaling, units, start)
@@ -140,7 +148,7 @@ UNITS = Units(
 
 
 def test_standardised_predictions_return_to_measured_units():
-    _, data = small_fit()
+    _, data = small()
     test = cast(stack([measured()] * 3), np.float32)
     (plain, aside), (found, validated) = (
         (predict(trained(begun(), units), test), validated_outputs(trained(begun(), units), data))

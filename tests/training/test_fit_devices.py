@@ -19,7 +19,7 @@ ALONE = ModelSpec(networks=False)
 @pytest.mark.parametrize(
     ("spec", "how", "rtol"),
     [
-        (ALONE, "loop", 1e-6),
+        pytest.param(ALONE, "loop", 1e-6, marks=pytest.mark.compiles),
         # products of matrices: a program for two devices, or of another width, sums in another order
         pytest.param(FED_BACK, "vmap", 1e-4, marks=pytest.mark.slow),
     ],
@@ -50,10 +50,17 @@ def test_an_odd_number_of_members_with_a_failing_one_trains_alike_on_one_and_two
     assert (its.train[:4, -1, -1] < its.train[:4, 0, 0]).all()
 
 
-def test_sequences_shared_by_two_devices_train_alike():
+@pytest.mark.parametrize(
+    ("spec", "physics_parameters"),
+    [(ALONE, "trained"), pytest.param(ModelSpec(hidden=4), "fixed", marks=pytest.mark.slow)],
+    ids=["physics", "networks"],
+)
+def test_sequences_shared_by_two_devices_train_alike(spec, physics_parameters):
     """Five sequences: one device computes a copy of the last, which must not count."""
-    settings = FitSettings(epochs=6, validate_every=3, chunk_epochs=6, learning_rate=1e-2)
-    fit, data = small_fit(settings=settings, members=5)
+    settings = FitSettings(
+        epochs=6, validate_every=3, chunk_epochs=6, learning_rate=1e-2, physics_parameters=physics_parameters
+    )
+    fit, data = small_fit(spec=spec, settings=settings, members=5)
     data = jax.tree.map(lambda a: a[:1], data)._replace(train=jax.tree.map(lambda a: a.swapaxes(0, 1), data.train))
     data = data._replace(
         train=data.train._replace(y=data.train.y * np.linspace(0.9, 1.1, 5)[:, None, None].astype(np.float32))

@@ -5,6 +5,7 @@ import pytest
 from toys import quick_jit, spec, toy_model, toy_params, toy_signals
 
 from pgrssnn_jax.models.rollout import rollout
+from pgrssnn_jax.models.spec import ModelSpec
 from pgrssnn_jax.training.members import MemberMapping, choose_mapping, jit_members, map_members, repeat, select
 
 MAPPINGS = [
@@ -39,10 +40,16 @@ def test_every_mapping_gives_each_member_its_own_result(mapping, count):
             np.testing.assert_allclose(a[i], b, rtol=1e-5, atol=1e-6)
 
 
-def test_rollouts_and_gradients_of_members_are_those_of_each(key):
-    model = toy_model(spec("PG-RSSNN"))
+@pytest.mark.parametrize(
+    "fields",
+    [ModelSpec(networks=False), pytest.param(spec("PG-RSSNN"), marks=pytest.mark.compiles)],
+    ids=["physics", "PG-RSSNN"],
+)
+def test_rollouts_and_gradients_of_members_are_those_of_each(key, fields):
+    model = toy_model(fields)
     u, x0 = toy_signals(2, 4)
     members = [toy_params(model, k) for k in jax.random.split(key, 3)]
+    members = [jax.tree.map(lambda a, i=i: (1.0 + 0.1 * i) * a, member) for i, member in enumerate(members)]
     together = jax.tree.map(lambda *a: jnp.stack(a), *members)
 
     def loss(params, u):

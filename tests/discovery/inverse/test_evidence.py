@@ -1,5 +1,6 @@
 """Torque errors and their derivatives against Pinocchio and finite differences."""
 
+import jax
 import numpy as np
 import pytest
 from arm_logs import DT, KUKA, log
@@ -20,9 +21,17 @@ def physics():
     return arm(derivatives="forward", gravity=tuple(KUKA.gravity))
 
 
-def some(record, count=40):
+@pytest.fixture(scope="module")
+def judging(physics):
+    """A problem with every effect that is judged, and its torques, whose programs are compiled once."""
+    with jax.enable_x64(True):
+        problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
+        return problem, torques(problem)
+
+
+def some(record):
     motion = motion_of(record, DT, at_rest=False, shift=1.0)
-    return samples_of(thinned(motion, motion.v.shape[1] * len(motion.v) // count), fastest_of(motion))
+    return samples_of(thinned(motion, motion.v.shape[1] * len(motion.v) // 40), fastest_of(motion))
 
 
 def test_what_is_no_torque_is_not_judged(physics):
@@ -30,29 +39,29 @@ def test_what_is_no_torque_is_not_judged(physics):
     assert {effect.name for effect in judged(physics, catalogue(physics))} == names - NOT_SEEN
 
 
-def test_a_true_model_leaves_the_noise_of_the_torques(physics):
-    problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
-    samples = some(log(0, torque_noise=0.02, noise=0.0), 400)
-    error = torques(problem).errors(problem.theta, samples)[samples.moving]
+def test_a_true_model_leaves_the_noise_of_the_torques(judging):
+    problem, model = judging
+    samples = some(log(0, torque_noise=0.02, noise=0.0))
+    error = model.errors(problem.theta, samples)[samples.moving]
     assert np.sqrt(np.mean(error**2)) < 0.03
 
 
-def test_what_a_step_adds_to_a_velocity_is_no_work_of_the_torques(physics):
+def test_what_a_step_adds_to_a_velocity_is_no_work_of_the_torques(judging):
     """Velocities jump by S times the one before in every sample; positions are read, and differences taken."""
-    problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
-    share, time = np.linspace(-0.2, 0.05, KUKA.n), DT * np.arange(41)[:, None]
+    problem, model = judging
+    share, time = np.linspace(-0.2, 0.05, KUKA.n), DT * np.arange(43)[:, None]
     pushed = np.sin(time * np.linspace(0.5, 1.0, KUKA.n) + np.arange(KUKA.n))  # rad/s²
-    q, v = np.zeros((42, KUKA.n)), np.zeros((42, KUKA.n))
+    q, v = np.zeros((44, KUKA.n)), np.zeros((44, KUKA.n))
     for k, a in enumerate(pushed):
         q[k + 1] = q[k] + DT * v[k] + DT**2 / 2 * a
         v[k + 1] = v[k] + DT * a + share * v[k]
     reading, speed = q[1:-1].T, (q[2:] - q[:-2]).T / (2 * DT)
     found, true = np.diff(q, 2, axis=0).T / DT**2, (pushed[1:] + pushed[:-1]).T / 2
-    samples = some(log(2), 40)._replace(reading=reading, v=speed, torque=np.zeros_like(reading))
+    samples = some(log(2))._replace(reading=reading, v=speed, torque=np.zeros_like(reading))
 
     def errors(numbers, acceleration):
         theta = problem.put(problem.theta, "velocity_disturbance", {"S": numbers})
-        return torques(problem).errors(theta, samples._replace(a=acceleration))
+        return model.errors(theta, samples._replace(a=acceleration))
 
     right, seen, not_seen = errors(0 * share, true), errors(share, found), errors(0 * share, found)
     assert np.abs(seen - right).max() < 0.02 * np.abs(not_seen - right).max()
@@ -96,27 +105,26 @@ def _lost(motion):
     return (300 - motion.v.shape[1]) // 2
 
 
-def where_everything_acts(physics):
-    """A problem, and numbers at which every effect acts."""
-    problem = build_problem(physics, judged(physics, catalogue(physics)), accelerate=False)
+def where_everything_acts(problem):
+    """Numbers at which every effect acts."""
     rng = np.random.default_rng(0)
     theta = problem.theta + np.abs(rng.normal(size=len(problem.theta))) * 0.05
     theta = problem.put(theta, "gravity_counterbalance", {"moment": 500.0, "angle": 0.3})
-    return problem, problem.put(theta, "payload", {"mass": 40.0, "distance": 0.2, "x": 0.1, "y": -0.1, "gyration": 0.2})
+    return problem.put(theta, "payload", {"mass": 40.0, "distance": 0.2, "x": 0.1, "y": -0.1, "gyration": 0.2})
 
 
-def test_the_torque_that_is_asked_for_does_not_depend_on_the_measured_one(physics):
+def test_the_torque_that_is_asked_for_does_not_depend_on_the_measured_one(judging):
     """With friction that grows with the torque, too: which side of zero a torque is on is part of the prediction."""
-    problem, theta = where_everything_acts(physics)
-    model, samples = torques(problem), some(log(1))
+    problem, model = judging
+    theta, samples = where_everything_acts(problem), some(log(1))
     other = samples._replace(torque=-2 * samples.torque)
     asked = [one.torque - model.errors(theta, one) for one in (samples, other)]
     np.testing.assert_allclose(*asked, atol=1e-9 * np.abs(asked[0]).max())
 
 
-def test_derivatives_are_those_of_finite_differences(physics):
-    (problem, theta), samples = where_everything_acts(physics), some(log(1))
-    model = torques(problem)
+def test_derivatives_are_those_of_finite_differences(judging):
+    problem, model = judging
+    theta, samples = where_everything_acts(problem), some(log(1))
     places = np.concatenate([problem.of(None), *(problem.of(effect.name) for effect in problem.effects)])
     found = model.derivatives(theta, samples, places)
     for k, place in enumerate(places):

@@ -1,8 +1,11 @@
 """The filter form of an arm: parameters estimated from a record, positions predicted from torques alone."""
 
+import json
+
 import numpy as np
 import pytest
 from arm_logs import KUKA, log
+from commands import ROOT
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.discovery.inverse.filter_form import filter_form, filter_numbers
@@ -24,6 +27,7 @@ def errors(physics, test):
     return np.sqrt(np.mean(np.nan_to_num(y - measured, nan=9.0) ** 2, (0, 1))) / measured.std((0, 1))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_the_numbers_are_those_of_the_record():
     bias = np.array([300.0, 0.0, 0.0, 0.0, 0.0, 100.0])
@@ -64,7 +68,8 @@ def test_what_is_no_arm_is_refused():
     train = log(1, sequences=1)
     with pytest.raises(ValueError, match="filter_form: physics: expected an arm with backend=jax, found 'arm'"):
         filter_form(arm(backend="pinocchio"), train)
-    filtered = filter_form(arm(), train)
+    shipped = json.loads((ROOT / "conf/physics/robot_real_filter.json").read_text())
+    filtered = arm(form="filter", filter_numbers=shipped["physics"]["filter_numbers"])
     with pytest.raises(ValueError, match=r"physics.form: expected forward in a discovery, found filter"):
         pg.discover(filtered, train, log(2, sequences=1), quiet=True)
 

@@ -40,6 +40,8 @@ OBLIQUE = (
     Joint("second", "first", "-1 1 0.2", "0.3 0.2 0.1", "-1 0.2 0.7"),
     Joint("third", "second", "0 -1 0", "0.1 -0.2 0.3", more=MOVING + "<dynamics damping='0.7' friction='0.2'/>"),
 )
+#: the smallest arm that branches, which compiles in half the time
+FORK = (TREE[0], TREE[2]._replace(parent="waist"), TREE[3], TREE[5]._replace(parent="right"))
 PENDULUM = (Joint("swing", axis="0 1 0", more=MOVING),)
 
 
@@ -68,7 +70,8 @@ def sample_arm(name: str, folder: Path) -> tuple[ArmTables, pin.Model]:
     """Tables, and Pinocchio's own model of the same arm from its own source."""
     if name == "kuka":
         return KUKA, pinocchio_model(KUKA)
-    file = urdf(folder, {"tree": TREE, "oblique": OBLIQUE}[name]) if name in ("tree", "oblique") else published(name)
+    own = {"tree": TREE, "fork": FORK, "oblique": OBLIQUE}
+    file = urdf(folder, own[name]) if name in own else published(name)
     return read_urdf(file), pin.buildModelFromUrdf(str(file))
 
 

@@ -1,11 +1,14 @@
 """The filter is Kalman's where an arm is linear, and its friction is that of a random speed."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
 from arm_samples import PENDULUM, urdf
+from toys import quick_jit
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.physics.arms.filter import linearised
@@ -55,20 +58,29 @@ def test_the_motion_is_right_where_a_joint_swings_fast():
     fast = {**NUMBERS, "speed": 14.0, "position": 0.7, "acceleration": 420.0}
     f, q = in_one_step(fast)
     numbers = FilterNumbers(**{name: jnp.asarray([value]) for name, value in fast.items()})
-    kernel, noise = motion(numbers._replace(damping=jnp.asarray(0.7), time=jnp.asarray(2.0)), DT)
+    numbers = numbers._replace(damping=jnp.asarray(0.7), time=jnp.asarray(2.0))
+    kernel, noise = quick_jit(lambda numbers: motion(numbers, DT))(numbers)
     np.testing.assert_allclose(kernel[0], f, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(noise[0], q, rtol=1e-3, atol=1e-9)
+
+
+@cache
+def of_seven():
+    """What the motion of all joints becomes in one step, what is added on the way, and the covariance at the start."""
+    found = quick_jit(lambda numbers: (*motion(numbers, DT), starting(numbers, at_rest=False)))(SEVEN)
+    return [np.asarray(part) for part in found]
 
 
 @pytest.mark.parametrize("joint", range(7))
 def test_the_motion_is_that_of_the_equation_and_stationary(joint):
     numbers = {name: float(np.broadcast_to(value, (7,))[joint]) for name, value in SEVEN._asdict().items()}
     f, q = in_one_step(numbers)
-    kernel, noise = (np.asarray(part)[joint] for part in motion(jax.tree.map(jnp.asarray, SEVEN), DT))
+    kernels, noises, start = of_seven()
+    kernel, noise = kernels[joint], noises[joint]
     np.testing.assert_allclose(kernel, f, rtol=1e-7, atol=1e-12)
     np.testing.assert_allclose(noise, q, rtol=1e-5, atol=1e-15)
     places = np.array([joint, 7 + joint, 14 + joint])
-    whole = np.asarray(starting(jax.tree.map(jnp.asarray, SEVEN), at_rest=False))[np.ix_(places, places)]
+    whole = start[np.ix_(places, places)]
     np.testing.assert_allclose(kernel @ whole @ kernel.T + noise, whole, atol=1e-9)
     np.testing.assert_allclose(np.sqrt(np.diag(whole)), [numbers[k] for k in ("position", "speed", "acceleration")])
 
@@ -77,7 +89,8 @@ def test_a_linear_arm_is_filtered_as_kalman_did(tmp_path):
     nominal, filtered = pendulum(tmp_path, viscous_friction=0.03)
     gear, friction, points = 5.0, 0.03, extension_of(nominal).points
     one, none = jnp.ones((1, 1)), jnp.zeros((1, 1))
-    inertia = float(points.inverse(nominal.params, none, none, one, points.masses(nominal.params))[0, 0])
+    required = quick_jit(lambda a: points.inverse(nominal.params, none, none, a, points.masses(nominal.params)))(one)
+    inertia = float(required[0, 0])
     f, q = in_one_step(NUMBERS)
     kept = np.exp(-DT / NUMBERS["time"])
     f = scipy.linalg.block_diag(f, kept)
@@ -100,15 +113,20 @@ def test_a_linear_arm_is_filtered_as_kalman_did(tmp_path):
     np.testing.assert_allclose(np.tril(last), np.tril(cov - start), rtol=1e-5, atol=1e-8)
 
 
+@pytest.fixture(scope="module")
+def unsure_friction(tmp_path_factory):
+    """Of a motion, the spread of its speed, and a torque."""
+    with jax.enable_x64(True):
+        nominal, _ = pendulum(tmp_path_factory.mktemp("robot"), viscous_friction=0.02, coulomb_friction=0.4)
+    points = extension_of(nominal).points
+    return quick_jit(lambda at, spread, u: linearised(points, nominal.params, DT, at, spread, u))
+
+
 @pytest.mark.parametrize("speed", [-0.5, -0.02, 0.0, 0.1, 1.0])
-def test_friction_of_an_unsure_speed_is_its_mean_with_its_variance(tmp_path, speed):
-    nominal, _ = pendulum(tmp_path, viscous_friction=0.02, coulomb_friction=0.4)
-    points, spread = extension_of(nominal).points, 0.15
-    at = jnp.asarray([0.2, speed, 0.3])
-    error, slope, unsure = (
-        np.asarray(part)
-        for part in linearised(points, nominal.params, DT, at, jnp.asarray([spread]), jnp.asarray([0.7]))
-    )
+def test_friction_of_an_unsure_speed_is_its_mean_with_its_variance(unsure_friction, speed):
+    spread = 0.15
+    given = (np.array([0.2, speed, 0.3]), np.array([spread]), np.array([0.7]))
+    error, slope, unsure = (np.asarray(part) for part in unsure_friction(*given))
     drawn = speed + spread * np.random.default_rng(1).normal(size=400_000)
     inertia = -float(slope[0, 2]) * 5.0
     torque = 0.7 * 5.0 - 25 * 0.02 * drawn - 5 * 0.4 * np.sign(drawn) - inertia * 0.3

@@ -30,7 +30,7 @@ class Robot:
 
     def __init__(self, name, folder):
         self.tables, self.model = sample_arm(name, folder)
-        if name == "tree":
+        if name != "kuka":
             self.tables, self.model = with_rotor(self.tables, self.model)
         self.n = self.tables.n
         modes = {"forward": jax.jacfwd, "reverse": jax.jacrev}
@@ -60,7 +60,7 @@ def made(tmp_path_factory):
     return cache(lambda name: Robot(name, tmp_path_factory.mktemp("robot")))
 
 
-@pytest.fixture(params=["kuka", "tree"])
+@pytest.fixture(params=["fork", *(pytest.param(name, marks=pytest.mark.compiles) for name in ("kuka", "tree"))])
 def robot(made, request):
     return made(request.param)
 
@@ -133,10 +133,12 @@ def test_pinocchios_forward_mode_is_the_same():
         assert_close(found, expected, 1e-10)
 
 
-def test_any_order_of_axes_is_a_loop():
+@pytest.mark.compiles
+def test_any_order_of_axes_is_a_loop(tmp_path):
     """Tangents outside, between and inside the samples; torques that one of their axes lacks."""
-    q, v, tau = (np.asarray(x).reshape(3, 4, 6) for x in states(6, 12))
-    forward, moved = forward_dynamics(KUKA, "forward"), np.random.default_rng(2).normal(size=(5, 6))
+    tables, _ = sample_arm("oblique", tmp_path)
+    q, v, tau = (np.asarray(x).reshape(3, 4, 3) for x in states(3, 12))
+    forward, moved = forward_dynamics(tables, "forward"), np.random.default_rng(2).normal(size=(5, 3))
 
     def along(q, v, tau, direction):
         return jax.jvp(lambda q: forward(q, v, tau), (q,), (direction,))[1]
@@ -165,6 +167,7 @@ def test_a_linearised_step_pushes_as_the_step():
     np.testing.assert_allclose(*quick_jit(both)(x, moved), rtol=1e-12)
 
 
+@pytest.mark.compiles
 def test_forward_derivative_of_a_free_run_is_that_of_finite_differences():
     physics = arm(derivatives="forward", coulomb_friction=0.0)
     x0, u = np.concatenate([np.zeros(6), np.full(6, 0.2)]), np.full((3, 6), 0.3)

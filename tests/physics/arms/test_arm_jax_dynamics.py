@@ -20,7 +20,7 @@ class Robot:
 
     def __init__(self, name, folder):
         self.tables, self.model = sample_arm(name, folder)
-        if name == "tree":
+        if name in ("tree", "fork"):
             self.tables, self.model = with_rotor(self.tables, self.model)
         self.n, self.forward = self.tables.n, forward_dynamics(self.tables)
 
@@ -53,7 +53,10 @@ def made(tmp_path_factory):
     return cache(lambda name: Robot(name, tmp_path_factory.mktemp("robot")))
 
 
-@pytest.fixture(scope="module", params=["kuka", "ur5_robot.urdf", "tree"])
+MORE = [pytest.param(name, marks=pytest.mark.compiles) for name in ("ur5_robot.urdf", "tree")]
+
+
+@pytest.fixture(scope="module", params=["kuka", "fork", *MORE])
 def robot(made, request):
     return made(request.param)
 
@@ -127,9 +130,9 @@ def test_reverse_derivatives_are_finite_differences(robot):
 
 
 def test_jacobian_to_torque_is_the_inverse_mass_matrix(kuka):
-    q, v, tau = (x[0] for x in weighed(kuka, 1))
-    found = quick_jit(jax.jacrev(kuka.forward, 2))(q, v, tau)
-    np.testing.assert_allclose(found @ kuka.masses(q[None])[0], np.eye(6), atol=1e-10)
+    given = weighed(kuka, 1)
+    _, (_, _, found) = kuka.pulled(*(np.repeat(x, 6, 0) for x in given), np.eye(6))
+    np.testing.assert_allclose(found @ kuka.masses(given[0])[0], np.eye(6), atol=1e-10)
 
 
 def test_single_precision_stays_single_and_agrees(kuka):
@@ -150,14 +153,15 @@ def test_single_precision_of_a_tree_stays_single(tree):
     assert {x.dtype for x in jax.tree.leaves(found)} == {jnp.float32.dtype}
 
 
-def test_mapping_over_two_axes_is_a_loop(kuka):
+def test_mapping_over_two_axes_is_a_loop(made):
     """Both axes, and a velocity that only the outer one has."""
-    q, v, tau = (x.reshape(3, 4, 6) for x in weighed(kuka, 12))
+    fork = made("fork")
+    q, v, tau = (x.reshape(3, 4, 4) for x in weighed(fork, 12))
     v = v[:, 0]
-    mapped = quick_jit(jax.vmap(jax.vmap(kuka.forward, (0, None, 0)), out_axes=1))
-    given = q.reshape(12, 6), np.repeat(v, 4, 0), tau.reshape(12, 6)
-    found = np.swapaxes(mapped(q, v, tau), 0, 1).reshape(12, 6)
-    np.testing.assert_allclose(found, accelerations(kuka.model, *given), rtol=1e-9)
+    mapped = quick_jit(jax.vmap(jax.vmap(fork.forward, (0, None, 0)), out_axes=1))
+    given = q.reshape(12, 4), np.repeat(v, 4, 0), tau.reshape(12, 4)
+    found = np.swapaxes(mapped(q, v, tau), 0, 1).reshape(12, 4)
+    np.testing.assert_allclose(found, accelerations(fork.model, *given), rtol=1e-9)
 
 
 def test_one_sample_alone_is_a_batch_of_one(kuka):

@@ -32,7 +32,7 @@ def test_accelerations_are_pinocchios(tmp_path, name, count):
     np.testing.assert_allclose(found, expected, rtol=0, atol=3e-4 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("name", ["kuka", "tree"])
+@pytest.mark.parametrize("name", [pytest.param("kuka", marks=pytest.mark.compiles), "tree"])
 def test_gradients_are_those_of_jax(tmp_path, name):
     tables, _ = sample_arm(name, tmp_path)
     args = torques_of(tables, 21)

@@ -154,6 +154,7 @@ def test_stopping_the_gradient_changes_no_value():
     np.testing.assert_array_equal(mapped(physics_gradient="stopped", **settings)(x, u), mapped(**settings)(x, u))
 
 
+@pytest.mark.compiles
 @pytest.mark.usefixtures("x64")
 def test_full_gradients_are_those_of_the_equation_in_both_backends():
     """A state inside the limits, away from the kinks of friction."""
@@ -243,24 +244,18 @@ def test_bad_settings_are_named(settings, message):
 def test_friction_brakes_whatever_way_the_motor_turns():
     gear = KUKA.gear
     v = np.linspace(-0.5, 0.5, 6)
-    x, u = np.concatenate([np.zeros(6), v]), np.zeros(6)
+    x, u = np.concatenate([np.zeros(6), v])[None], np.zeros((1, 6))
     with jax.enable_x64(True):
-        found = []
-        for sign in (1.0, -1.0):
-            physics = arm(gear_ratio=sign * gear, limits=False, dt=1e-4)
-            found.append(np.asarray(physics.step(physics.params, jnp.asarray(x), jnp.asarray(u))))
+        found = [mapped(gear_ratio=tuple(sign * gear), limits=False, dt=1e-4)(x, u) for sign in (1.0, -1.0)]
     np.testing.assert_allclose(found[0], found[1], rtol=1e-12)
 
 
 def test_the_motors_inertia_follows_the_gear():
-    x, u = np.zeros(12), np.full(6, 1e-3)
+    x, u = np.zeros((1, 12)), np.full((1, 6), 1e-3)
+    free = {"gravity": (0.0, 0.0, 0.0), "viscous_friction": 0.0, "coulomb_friction": 0.0, "dt": 1e-3}
+    other = {"motor_inertia": tuple(4.0 * KUKA.motor_inertia), "gear_ratio": tuple(KUKA.gear / 2.0)}
     with jax.enable_x64(True):
-        steps = []
-        for settings in ({}, {"motor_inertia": 4.0 * KUKA.motor_inertia, "gear_ratio": KUKA.gear / 2.0}):
-            free = {"gravity": (0.0, 0.0, 0.0), "viscous_friction": 0.0, "coulomb_friction": 0.0, "dt": 1e-3}
-            physics = arm(**settings, **free)
-            pushed = u if not settings else 2.0 * u
-            steps.append(np.asarray(physics.step(physics.params, jnp.asarray(x), jnp.asarray(pushed))))
+        steps = [mapped(**settings, **free)(x, pushed) for settings, pushed in (({}, u), (other, 2.0 * u))]
     np.testing.assert_allclose(steps[0], steps[1], rtol=1e-12)
 
 

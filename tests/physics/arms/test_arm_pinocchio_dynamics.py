@@ -47,7 +47,7 @@ def counted(monkeypatch):
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("name", ["kuka", "tree"])
+@pytest.mark.parametrize("name", [pytest.param("kuka", marks=pytest.mark.compiles), "tree"])
 def test_both_backends_agree_with_their_derivatives(tmp_path, name):
     tables, _ = sample_arm(name, tmp_path)
     args = (*given(4, 5), states(6, 20, seed=5)[2].reshape(4, 5, 6))

@@ -25,10 +25,14 @@ def score(splits, physics):
 
 @pytest.mark.data
 @pytest.mark.usefixtures("data")
-@pytest.mark.parametrize("backend", ["jax", "pinocchio"])
+@pytest.mark.parametrize("backend", [pytest.param("jax", marks=pytest.mark.compiles), "pinocchio"])
 @pytest.mark.parametrize(
     ("known", "expected", "tolerance"),
-    [(("velocity_disturbance",), 0.524, 0.006), ((), 0.806, 0.003), (tuple(DISTURBED), 0.328, 0.003)],
+    [
+        pytest.param(("velocity_disturbance",), 0.524, 0.006, marks=pytest.mark.slow),
+        pytest.param((), 0.806, 0.003, marks=pytest.mark.slow),
+        (tuple(DISTURBED), 0.328, 0.003),
+    ],
 )
 def test_physics_alone_scores_on_the_simulated_arm_as_published(backend, known, expected, tolerance):
     physics = arm(backend=backend, **{name: DISTURBED[name] for name in known})
