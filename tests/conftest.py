@@ -5,11 +5,12 @@ import hashlib
 import os
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
 from compiler import little_optimised
 
@@ -85,9 +86,13 @@ def simulated_once() -> Iterator[None]:
     from pgrssnn_jax.data import arm_simulator, tanks
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tanks, "estimation_and_test", cache(tanks.estimation_and_test))
-        patch.setattr(arm_simulator, "simulated_arm", cache(arm_simulator.simulated_arm))
+        for module, name in ((tanks, "estimation_and_test"), (arm_simulator, "simulated_arm")):
+            patch.setattr(module, name, _copies(cache(getattr(module, name))))
         yield
+
+
+def _copies(function: Callable) -> Callable:
+    return lambda *given: jax.tree.map(np.copy, function(*given))
 
 
 MOST_MEMORY = 5e9  # bytes that a worker holds before its compiled programs go; two of them fit a machine of 16 GB
