@@ -9,6 +9,7 @@ import pytest
 import pgrssnn_jax as pg
 
 DT, BIAS = 0.05, 6.0  # s, Nm
+FEW = {"torque_bias", "torque_gain", "viscous_friction", "payload"}
 
 
 @pytest.fixture(scope="module")
@@ -61,3 +62,16 @@ def test_a_constant_torque_is_found_and_the_corrected_robot_is_saved(description
     np.testing.assert_allclose(again.damping, 2.0, rtol=0.1)
     beside = json.loads((tmp_path / "run" / "corrected.json").read_text())
     assert beside["effects"]["torque_bias"]["theta"]["value"][1] == pytest.approx(BIAS, rel=0.03)
+
+
+def test_a_few_effects_are_told_apart_sooner(description, tmp_path):
+    crane = pg.physics.arm(urdf=description, dt=DT)
+    others = {effect.name for effect in pg.effects.catalogue(crane)} - FEW
+    records = recorded(description, 0, 3), recorded(description, 1, 2)
+    found = pg.discover(crane, *records, without=sorted(others), quiet=True)
+    assert [(effect.name, effect.joints) for effect in found.effects] == [("torque_bias", (2,))]
+    assert found.verdict == "effect_found"
+    assert {row["name"] for row in found.details["ranking"]} <= FEW
+    found.save(tmp_path / "run")
+    assert (tmp_path / "run" / "corrected.urdf").exists()
+    assert "torque_bias" in (tmp_path / "run" / "report.html").read_text()
