@@ -53,7 +53,7 @@ docs-serve: docs
 
 install: $(VENV)/.installed
 
-# uv takes a third of pip's time or less. pip installs where uv cannot: behind an index that only pip is told of, for
+# uv takes half of pip's time or less. pip installs where uv cannot: behind an index that only pip is told of, for
 # instance. Training needs the package alone.
 $(VENV)/.package: pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

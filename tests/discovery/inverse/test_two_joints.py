@@ -64,7 +64,7 @@ def test_a_constant_torque_is_found_and_the_corrected_robot_is_saved(description
     assert beside["effects"]["torque_bias"]["theta"]["value"][1] == pytest.approx(BIAS, rel=0.03)
 
 
-def test_a_few_effects_are_told_apart_sooner(description, tmp_path):
+def test_the_constant_torque_is_named_among_few_effects(description, tmp_path):
     crane = pg.physics.arm(urdf=description, dt=DT)
     others = {effect.name for effect in pg.effects.catalogue(crane)} - FEW
     records = recorded(description, 0, 3), recorded(description, 1, 2)
