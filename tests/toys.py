@@ -1,11 +1,13 @@
 """Small systems and models that several tests share, beside their equations in plain NumPy."""
 
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from pgrssnn_jax.acceleration.compiler import optimised
 from pgrssnn_jax.models.model import Model, ModelParams, build_model
@@ -31,6 +33,14 @@ PUBLISHED: dict[str, dict[str, Any]] = {
 }
 WITHOUT_FEEDBACK = [name for name, fields in PUBLISHED.items() if not fields.get("feedback")]
 GUIDED = [name for name, fields in PUBLISHED.items() if fields["guided"]]
+
+
+def in_parts(names: Iterable[str]) -> list[Any]:
+    """Published variants as parameters of a test: of those with another activation one is enough for the fast part."""
+    return [
+        pytest.param(name, marks=pytest.mark.compiles) if name.endswith("-sgm") and name != "PG-RSSNN-sgm" else name
+        for name in names
+    ]
 
 
 def spec(name: str, **more: Any) -> ModelSpec:

@@ -172,7 +172,7 @@ def means_of(samples, z, steps=5000):
             after = ((2 * samples * steps - 1) * z + 2 * u) / (2 * samples * steps + 1)
             return after, (z + after) / 2
 
-        z, middles = jax.lax.scan(tiny, z, length=5000)
+        z, middles = jax.lax.scan(tiny, z, length=steps)
         return z, middles.mean(0)
 
     return jax.lax.scan(sample, z, U)[1]

@@ -61,10 +61,7 @@ def exact_physics():
     return lgssm(A=a, B=b, C=c, inputs=("f", "g"), outputs=("p", "q"))
 
 
-@pytest.mark.parametrize(("name", "route"), [
-    *(pytest.param(name, None, marks=[pytest.mark.compiles] if name.endswith("-sgm") else []) for name in GUIDED),
-    ("PG-RSSNN", "fused"),
-])  # fmt: skip
+@pytest.mark.parametrize(("name", "route"), [*((name, None) for name in GUIDED), ("PG-RSSNN", "fused")])
 def test_start_from_physics_is_the_physics_to_the_last_bit(key, name, route):
     draw = np.random.default_rng(0)
     u, x0 = (jnp.asarray(draw.integers(-8, 8, shape), jnp.float32) for shape in ((3, 5, 2), (3, 3)))

@@ -10,6 +10,7 @@ from toys import (
     TOY_PARAMS,
     WITHOUT_FEEDBACK,
     compiled_rollout,
+    in_parts,
     quick_jit,
     spec,
     toy_measure,
@@ -85,9 +86,7 @@ def by_routes(name, model, params, u, x0):
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.compiles) if name.endswith("-sgm") else name for name in PUBLISHED]
-)
+@pytest.mark.parametrize("name", in_parts(PUBLISHED))
 def test_rollout_equals_the_published_equations(key, name):
     model = toy_model(spec(name))
     params, (u, x0) = toy_params(model, key, jnp.float64), toy_signals(dtype=jnp.float64)

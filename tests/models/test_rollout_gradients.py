@@ -8,6 +8,7 @@ from flax import nnx
 from toys import (
     PUBLISHED,
     WITHOUT_FEEDBACK,
+    in_parts,
     quick_jit,
     spec,
     toy_model,
@@ -44,13 +45,7 @@ def test_one_compilation_per_shape(key):
     assert len(traced) > once
 
 
-# of the same networks with another activation one is enough
-SIGMOID = {"RSSNN-sgm", "FCSSNN-sgm", "PG-FCSSNN-sgm"}
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.compiles) if name in SIGMOID else name for name in PUBLISHED]
-)
+@pytest.mark.parametrize("name", in_parts(PUBLISHED))
 def test_gradients_are_finite_and_reach_every_part(key, name):
     """Also where every input and state is zero, the kinks of relu included."""
     model = toy_model(spec(name))
