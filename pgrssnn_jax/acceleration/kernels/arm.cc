@@ -1,4 +1,4 @@
-// Forward dynamics of an arm of revolute joints, 16 samples at a time: one lane of every vector is one sample.
+// Forward dynamics of an arm of revolute joints, many samples at a time: one lane of every vector is one sample.
 //
 //   M(q) q'' + h(q, q') = tau      M from composite inertias, h by Newton-Euler, M = L^T D L by elimination from the tips
 //

@@ -1,18 +1,28 @@
 // Products of small row-major float32 matrices, whose sums stay in registers, and exp(x) by a polynomial.
 //
 // Eigen, which XLA calls, is made for matrices that do not fit the cache; for 16 to 64 columns its overhead is most of
-// the time. Measured on one core with AVX-512: [60, 64] x [64, 192] at 54 multiply-adds a nanosecond, [1, 16] x [16, 48]
-// at 28.
+// the time.
 
 #pragma once
 
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
+#include <vector>
 
 namespace small {
 
-constexpr int64_t kLanes = 16;      // floats of a vector: one register of AVX-512, two of AVX2, four of NEON
+// kLanes: floats of a register; kSums: registers that hold the sums of a block, of 32 or 16 that there are. A vector of
+// two registers, or more sums than registers, go through memory at every addition: ten times slower.
+#if defined(__AVX512F__)
+constexpr int64_t kLanes = 16, kSums = 24;
+#elif defined(__AVX__)
+constexpr int64_t kLanes = 8, kSums = 12;
+#elif defined(__aarch64__)
+constexpr int64_t kLanes = 4, kSums = 24;
+#else
+constexpr int64_t kLanes = 4, kSums = 12;
+#endif
 constexpr int64_t kChunkRows = 64;  // rows whose intermediate results are held at once: they stay in the cache
 using Vector = float __attribute__((vector_size(kLanes * sizeof(float)), aligned(sizeof(float)), may_alias));
 
@@ -50,14 +60,20 @@ struct Matrix {
 inline Vector& vector_at(float* at) { return *reinterpret_cast<Vector*>(at); }
 inline const Vector& vector_at(const float* at) { return *reinterpret_cast<const Vector*>(at); }
 
-// out[s, :] += sum_i a[s, i] b[i, :] for kRows rows and kWidth vectors of columns, whose sums stay in registers
+// What the sums of a product begin with: the rows of an array, or one row for all (stride 0).
+struct Begin {
+  const float* at;
+  int64_t row;
+};
+
+// out[s, :] = begin[s, :] + sum_i a[s, i] b[i, :] for kRows rows and kWidth vectors of columns; the sums stay in registers
 template <int kRows, int kWidth>
-inline void block(Matrix a, const float* b, int64_t inner, int64_t columns, float* out) {
+inline void block(Matrix a, const float* b, Begin begin, int64_t inner, int64_t columns, float* out) {
   Vector sum[kRows][kWidth];
 #pragma GCC unroll 8
   for (int s = 0; s < kRows; ++s)
 #pragma GCC unroll 4
-    for (int c = 0; c < kWidth; ++c) sum[s][c] = vector_at(out + s * columns + c * kLanes);
+    for (int c = 0; c < kWidth; ++c) sum[s][c] = vector_at(begin.at + s * begin.row + c * kLanes);
   for (int64_t i = 0; i < inner; ++i) {
     Vector row[kWidth];
 #pragma GCC unroll 4
@@ -75,8 +91,8 @@ inline void block(Matrix a, const float* b, int64_t inner, int64_t columns, floa
 
 // the same for one row and one vector: four sums, because one would wait for its own last addition
 template <>
-inline void block<1, 1>(Matrix a, const float* b, int64_t inner, int64_t columns, float* out) {
-  Vector sum[4] = {vector_at(out)};
+inline void block<1, 1>(Matrix a, const float* b, Begin begin, int64_t inner, int64_t columns, float* out) {
+  Vector sum[4] = {vector_at(begin.at)};
   int64_t i = 0;
   for (; i + 4 <= inner; i += 4)
 #pragma GCC unroll 4
@@ -85,28 +101,49 @@ inline void block<1, 1>(Matrix a, const float* b, int64_t inner, int64_t columns
   vector_at(out) = (sum[0] + sum[1]) + (sum[2] + sum[3]);
 }
 
-template <int kRows>
-inline void strip(Matrix a, const float* b, int64_t inner, int64_t columns, float* out) {
+// kWidth vectors of columns of all rows
+template <int kWidth>
+inline void panel(Matrix a, const float* b, Begin begin, int64_t rows, int64_t inner, int64_t columns, float* out) {
+  constexpr int kTall = std::min<int64_t>(8, kSums / kWidth);
+  int64_t s = 0;
+  const auto from = [&] { return Begin{begin.at + s * begin.row, begin.row}; };
+  for (; s + kTall <= rows; s += kTall) block<kTall, kWidth>(a.from_row(s), b, from(), inner, columns, out + s * columns);
+  for (; s + 2 <= rows; s += 2) block<2, kWidth>(a.from_row(s), b, from(), inner, columns, out + s * columns);
+  for (; s < rows; ++s) block<1, kWidth>(a.from_row(s), b, from(), inner, columns, out + s * columns);
+}
+
+// column after column, because there are few
+inline void copy_columns(const float* __restrict from, int64_t from_row, int64_t rows, int64_t columns, float* __restrict to,
+                         int64_t to_row) {
+  for (int64_t c = 0; c < columns; ++c)
+    for (int64_t s = 0; s < rows; ++s) to[s * to_row + c] = from[s * from_row + c];
+}
+
+// out [rows, columns] = begin + a [rows, inner] b [inner, columns]; begin may be out
+inline void product(Matrix a, const float* b, Begin begin, int64_t rows, int64_t inner, int64_t columns, float* out) {
   int64_t c = 0;
-  for (; c + 3 * kLanes <= columns; c += 3 * kLanes) block<kRows, 3>(a, b + c, inner, columns, out + c);
-  for (; c + kLanes <= columns; c += kLanes) block<kRows, 1>(a, b + c, inner, columns, out + c);
-  for (; c < columns; ++c)
-    for (int s = 0; s < kRows; ++s)
-      for (int64_t i = 0; i < inner; ++i) out[s * columns + c] += a(s, i) * b[i * columns + c];
+  const auto from = [&] { return Begin{begin.at + c, begin.row}; };
+  for (; c + 3 * kLanes <= columns; c += 3 * kLanes) panel<3>(a, b + c, from(), rows, inner, columns, out + c);
+  for (; c + 2 * kLanes <= columns; c += 2 * kLanes) panel<2>(a, b + c, from(), rows, inner, columns, out + c);
+  for (; c + kLanes <= columns; c += kLanes) panel<1>(a, b + c, from(), rows, inner, columns, out + c);
+  if (c == columns) return;
+  const int64_t rest = columns - c;  // fewer columns than a vector has floats: zeros beside them
+  const int64_t begins = begin.row ? rows : 1, begin_row = begin.row ? kLanes : 0;
+  std::vector<float> b_rest(inner * kLanes), begin_rest(begins * kLanes), out_rest(rows * kLanes);
+  copy_columns(b + c, columns, inner, rest, b_rest.data(), kLanes);
+  copy_columns(begin.at + c, begin.row, begins, rest, begin_rest.data(), kLanes);
+  panel<1>(a, b_rest.data(), {begin_rest.data(), begin_row}, rows, inner, kLanes, out_rest.data());
+  copy_columns(out_rest.data(), kLanes, rows, rest, out + c, columns);
 }
 
 // out [rows, columns] += a [rows, inner] b [inner, columns]
 inline void multiply_add(Matrix a, const float* b, int64_t rows, int64_t inner, int64_t columns, float* out) {
-  int64_t s = 0;
-  for (; s + 8 <= rows; s += 8) strip<8>(a.from_row(s), b, inner, columns, out + s * columns);
-  for (; s + 4 <= rows; s += 4) strip<4>(a.from_row(s), b, inner, columns, out + s * columns);
-  for (; s < rows; ++s) strip<1>(a.from_row(s), b, inner, columns, out + s * columns);
+  product(a, b, {out, columns}, rows, inner, columns, out);
 }
 
 // out [rows, columns] = bias + a b
 inline void affine(Matrix a, const float* b, const float* bias, int64_t rows, int64_t inner, int64_t columns, float* out) {
-  for (int64_t s = 0; s < rows; ++s) std::copy_n(bias, columns, out + s * columns);
-  multiply_add(a, b, rows, inner, columns, out);
+  product(a, b, {bias, 0}, rows, inner, columns, out);
 }
 
 // out += the sum of the rows of a [rows, columns]
