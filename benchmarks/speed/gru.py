@@ -23,8 +23,7 @@ def ours(time: int, sequences: int, hidden: int) -> dict[str, Callable[[], Any]]
             continue
 
         def run(weights: Any, u: jax.Array, native: bool = native) -> jax.Array:
-            gru = nnx.merge(graph, weights)
-            return gru.scan(gru.project(u), start, native=native)
+            return nnx.merge(graph, weights).scan(u, start, native=native)
 
         gradient = jax.value_and_grad(lambda weights, u, run=run: jnp.sum(run(weights, u) ** 2))
         found[form] = compiled(jax.jit(run), weights, u).call

@@ -1,4 +1,4 @@
-"""GRU recurrence, dense layers and the dynamics of arms as C++ kernels, compiled once on the machine that runs them.
+"""GRU layers, dense layers and the dynamics of arms as C++ kernels, compiled once on the machine that runs them.
 
 XLA runs a scan over small matrices step by step through its runtime: for 16 units a step takes ten times longer than
 its arithmetic. The kernels (`kernels/*.cc`) take a whole sequence at once, and keep no intermediate results for the
@@ -36,19 +36,21 @@ def _call(target: str, like: Any, *arrays: Any, **attributes: Any) -> Any:
 
 
 @jax.custom_vjp
-def gru_scan(
-    kernel: Float[jax.Array, "hidden gates"],
-    bias: Float[jax.Array, " gates"],
-    projected: Float[jax.Array, "time seq gates"],
+def gru_layer(
+    input_kernel: Float[jax.Array, "n_in gates"],
+    input_bias: Float[jax.Array, " gates"],
+    hidden_kernel: Float[jax.Array, "hidden gates"],
+    hidden_bias: Float[jax.Array, " gates"],
+    phi: Float[jax.Array, "time seq n_in"],
     start: Float[jax.Array, "seq hidden"],
 ) -> Float[jax.Array, "time seq hidden"]:
-    """`models.gru.gru_scan`, float32 and reverse mode only. Call it where `missing_kernels()` is None."""
-    states = jax.ShapeDtypeStruct((*projected.shape[:2], kernel.shape[0]), jnp.float32)
-    return _call("gru_forward", states, kernel, bias, projected, start)
+    """`models.gru.GRU.scan`, float32 and reverse mode only. Call it where `missing_kernels()` is None."""
+    states = jax.ShapeDtypeStruct((*phi.shape[:2], start.shape[1]), jnp.float32)
+    return _call("gru_forward", states, input_kernel, input_bias, hidden_kernel, hidden_bias, phi, start)
 
 
 def _gru_forward(*arrays: Any) -> tuple[jax.Array, tuple[Any, ...]]:
-    states = gru_scan(*arrays)
+    states = gru_layer(*arrays)
     return states, (*arrays, states)
 
 
@@ -56,7 +58,7 @@ def _gru_backward(residuals: tuple[Any, ...], cotangent: Any) -> tuple[jax.Array
     return tuple(_call("gru_backward", residuals[:-1], *residuals, cotangent))
 
 
-gru_scan.defvjp(_gru_forward, _gru_backward)
+gru_layer.defvjp(_gru_forward, _gru_backward)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))

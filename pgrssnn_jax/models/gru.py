@@ -133,16 +133,18 @@ class GRU(nnx.Module):
 
     def scan(
         self,
-        projected: Float[jax.Array, "time seq gates"],
+        phi: Float[jax.Array, "time seq n_in"],
         start: Float[jax.Array, "seq hidden"],
         *,
         native: bool = False,
     ) -> Float[jax.Array, "time seq hidden"]:
-        """native: by the C++ kernel, which computes in float32; other precisions take the scan."""
+        """h_1 .. h_T from h_0 = start. native: by the C++ kernel, in float32; other precisions take XLA."""
         kernel, bias = self._recurrent()
-        if not native or not projected.dtype == kernel.dtype == jnp.float32:
-            return gru_scan(kernel, bias, projected, start)
-        return kernels.gru_scan(kernel, jnp.zeros_like(kernel[0]) if bias is None else bias, projected, start)
+        if not native or not phi.dtype == kernel.dtype == jnp.float32:
+            return gru_scan(kernel, bias, self.project(phi), start)
+        none = jnp.zeros_like(kernel[0])
+        input_bias = none if self.input_bias is None else self.input_bias[...]
+        return kernels.gru_layer(self.input_kernel[...], input_bias, kernel, none if bias is None else bias, phi, start)
 
     def _recurrent(self) -> tuple[jax.Array, jax.Array | None]:
         return self.hidden_kernel[...], None if self.hidden_bias is None else self.hidden_bias[...]

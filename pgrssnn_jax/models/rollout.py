@@ -4,7 +4,7 @@ Three routes with equal results (to rounding):
     fused  one scan whose body does physics, GRU and networks; needed when the state is fed back
     split  without feedback f_nn depends on u alone: feature layers, input projections, heads and measurement networks
            are batched over time, and only the GRU recurrence and the physics step stay in scans
-    native split, with GRU recurrence and dense layers in C++ kernels (`acceleration/native.py`)
+    native split, with GRU and dense layers in C++ kernels (`acceleration/native.py`)
 
 Each can take a long record in chunks of samples: what is batched over time then stays in the processor's cache.
 """
@@ -204,9 +204,8 @@ def _split(
         phi = networks.phi_u(params.scaling.u.to_scaled(u), native=native)
         states, before = phi, None
         for layer, h in zip(networks.gru, start.h, strict=True):
-            projected = layer.project(states)
-            begun = h.astype(projected.dtype)  # the state may be in another precision than the networks
-            states = layer.scan(projected, begun, native=native)
+            begun = h.astype(states.dtype)  # the state may be in another precision than the networks
+            states = layer.scan(states, begun, native=native)
             before = delayed(states, begun)
             last.append(states[-1].astype(h.dtype))
         correction = params.scaling.x.unscale_difference(model.whole(networks.f_nn(before, phi, native=native)))

@@ -10,29 +10,32 @@ from jax.test_util import check_grads
 from toys import quick_jit
 
 from pgrssnn_jax.acceleration.build import COMPILERS
-from pgrssnn_jax.acceleration.native import gru_scan as gru_kernel
-from pgrssnn_jax.acceleration.native import missing_kernels, two_dense
+from pgrssnn_jax.acceleration.native import gru_layer, missing_kernels, two_dense
 from pgrssnn_jax.models.gru import gru_scan
 
 needs_kernel = pytest.mark.skipif(missing_kernels() is not None, reason=f"no kernel: {missing_kernels()}")
 
 
-def weights(hidden, time, sequences, *members, seed=0):
-    draw, gates = np.random.default_rng(seed), 3 * hidden
-    shapes = (hidden, gates), (gates,), (time, sequences, gates), (sequences, hidden)
-    sizes = hidden**-0.5, 0.3, 1.0, 1.0
+def weights(hidden, time, sequences, *members, n_in=None, seed=0):
+    draw, gates, n_in = np.random.default_rng(seed), 3 * hidden, n_in or hidden
+    shapes = (n_in, gates), (gates,), (hidden, gates), (gates,), (time, sequences, n_in), (sequences, hidden)
+    sizes = n_in**-0.5, 0.3, hidden**-0.5, 0.3, 1.0, 1.0
     drawn = (size * draw.normal(size=(*members, *shape)) for size, shape in zip(sizes, shapes, strict=True))
     return tuple(jnp.asarray(one, jnp.float32) for one in drawn)
+
+
+def by_scan(input_kernel, input_bias, hidden_kernel, hidden_bias, phi, start):
+    return gru_scan(hidden_kernel, hidden_bias, phi @ input_kernel + input_bias[None, None], start)
 
 
 @quick_jit
 def both_ways(arrays):
     """The states, and the gradients of a sum in which each has its own weight; by the kernel and by the scan."""
 
-    def gradients(scan):
-        return jax.grad(lambda a: jnp.sum(jnp.sin(3.0 * scan(*a)) ** 2))(arrays)
+    def gradients(layer):
+        return jax.grad(lambda a: jnp.sum(jnp.sin(3.0 * layer(*a)) ** 2))(arrays)
 
-    return [(scan(*arrays), gradients(scan)) for scan in (gru_kernel, gru_scan)]
+    return [(layer(*arrays), gradients(layer)) for layer in (gru_layer, by_scan)]
 
 
 HIDDEN, LENGTHS = (16, 64, 5, 22), ((1, 1), (130, 1), (64, 1), (9, 13), (3, 70))
@@ -45,7 +48,7 @@ SIZES = [
 
 
 # units: the two published sizes, one that fills no vector, one that fills some and leaves a rest; sequences: fewer and
-# more than the rows of a block (4, 8) and of a chunk (64); time: a whole chunk, parts of one, a single step
+# more than the rows of a block (up to 8) and of a chunk (64); time: a whole chunk, parts of one, a single step
 @needs_kernel
 @pytest.mark.parametrize(("length", "hidden"), SIZES)
 def test_values_and_gradients_are_those_of_the_scan(length, hidden):
@@ -56,26 +59,37 @@ def test_values_and_gradients_are_those_of_the_scan(length, hidden):
 
 
 @needs_kernel
-def test_gradients_are_those_of_finite_differences():
-    def scan(*arrays):
-        return gru_kernel(*map(jnp.asarray, arrays))
+def test_an_input_may_have_another_size_than_the_state():
+    (states, gradients), (expected_states, expected_gradients) = both_ways(weights(16, 40, 3, n_in=5))
+    np.testing.assert_allclose(states, expected_states, rtol=0, atol=2e-6)
+    for found, expected in zip(gradients, expected_gradients, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
 
-    check_grads(scan, weights(6, 5, 2), order=1, modes=["rev"], rtol=2e-2, atol=2e-2, eps=1e-2)
+
+@needs_kernel
+def test_gradients_are_those_of_finite_differences():
+    def layer(*arrays):
+        return gru_layer(*map(jnp.asarray, arrays))
+
+    check_grads(layer, weights(6, 5, 2), order=1, modes=["rev"], rtol=2e-2, atol=2e-2, eps=1e-2)
 
 
 @needs_kernel
 def test_gates_that_saturate_stay_finite_and_right():
-    kernel, bias, projected, start = weights(16, 20, 3)
-    (states, gradients), (expected, _) = both_ways((kernel, bias, 200.0 * projected, start))
+    _, _, *layer, phi, start = weights(16, 20, 3, n_in=48)
+    projection = jnp.eye(48), jnp.zeros(48)  # without rounding, which gates of such inputs would magnify
+    (states, gradients), (expected, _) = both_ways((*projection, *layer, 200.0 * phi, start))
     np.testing.assert_allclose(states, expected, rtol=0, atol=2e-6)
     assert all(np.isfinite(g).all() for g in gradients)
 
 
 @needs_kernel
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_what_is_not_finite_shows_from_its_sample_on(bad):
-    kernel, bias, projected, start = weights(16, 12, 2)
-    states = gru_kernel(kernel, bias, projected.at[7, 1, 3].set(bad).at[7, 1, 35].set(np.nan), start)
+    *layer, phi, start = weights(16, 12, 2)
+    layer = [layer[0].at[3, 40].set(0.0), *layer[1:]]  # a unit that an infinite input makes NaN
+    states = gru_layer(*layer, phi.at[7, 1, 3].set(bad), start)
+    np.testing.assert_array_equal(np.isnan(states), np.isnan(by_scan(*layer, phi.at[7, 1, 3].set(bad), start)))
     assert np.isfinite(states[:7]).all()
     assert np.isfinite(states[:, 0]).all()
     assert not np.isfinite(states[7:, 1]).all(-1).any()
@@ -85,18 +99,18 @@ def test_what_is_not_finite_shows_from_its_sample_on(bad):
 @pytest.mark.parametrize("how", ["vmap", "map"])
 def test_members_are_computed_as_if_alone(how):
     arrays = weights(16, 30, 2, 3)
-    mapped = jax.vmap(gru_kernel) if how == "vmap" else lambda *a: jax.lax.map(lambda b: gru_kernel(*b), a)
+    mapped = jax.vmap(gru_layer) if how == "vmap" else lambda *a: jax.lax.map(lambda b: gru_layer(*b), a)
     together = jax.jit(mapped)(*arrays)
     for i in range(3):
-        np.testing.assert_array_equal(together[i], gru_kernel(*(a[i] for a in arrays)))
+        np.testing.assert_array_equal(together[i], gru_layer(*(a[i] for a in arrays)))
 
 
 @needs_kernel
 def test_members_may_share_their_weights():
-    kernel, bias, projected, start = weights(16, 30, 2)
-    projected = jnp.stack([projected, -projected])
-    found = jax.vmap(gru_kernel, (None, None, 0, None))(kernel, bias, projected, start)
-    np.testing.assert_array_equal(found[1], gru_kernel(kernel, bias, projected[1], start))
+    *layer, phi, start = weights(16, 30, 2)
+    phi = jnp.stack([phi, -phi])
+    found = jax.vmap(gru_layer, (*(None,) * len(layer), 0, None))(*layer, phi, start)
+    np.testing.assert_array_equal(found[1], gru_layer(*layer, phi[1], start))
 
 
 def layers(n_in, hidden, n_out, rows, *members):
