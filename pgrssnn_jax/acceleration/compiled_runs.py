@@ -22,7 +22,7 @@ from pgrssnn_jax.acceleration import build
 from pgrssnn_jax.acceleration.scalar_code import Function, UnknownOperationError, function_of
 from pgrssnn_jax.acceleration.scalars import Program
 
-_TARGETS = ("free_run", "free_run_along")
+_TARGETS = ("free_run", "free_run_along", "free_run_normal")
 
 
 class Sizes(NamedTuple):
@@ -47,7 +47,8 @@ class FreeRuns(NamedTuple):
         """y, and the state after u_t."""
         time, rest = len(u), x0.shape[1:]
         shapes = [(time, self.sizes.y, *rest), (time, self.sizes.x, *rest)]
-        return self._call("free_run", shapes, u, theta, x0)
+        y, x = self._call("free_run", shapes, u, theta, x0)
+        return y, x
 
     def along(
         self,
@@ -59,13 +60,31 @@ class FreeRuns(NamedTuple):
         """y and dy; free: positions in θ, -1 for none; d: those, then the unknowns of the start."""
         time, rest, d = len(u), x0.shape[1:], free.shape[1] + len(self.sizes.start)
         shapes = [(time, self.sizes.y, *rest), (time, self.sizes.y, d, *rest)]
-        return self._call("free_run_along", shapes, u, theta, x0, free.astype(jnp.int64))
+        y, dy = self._call("free_run_along", shapes, u, theta, x0, free.astype(jnp.int64))
+        return y, dy
 
-    def _call(self, target: str, shapes: Sequence[tuple[int, ...]], *arrays: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def normal(
+        self,
+        u: Float[jax.Array, "time u seq"],
+        theta: Float[jax.Array, "p lane"],
+        x0: Float[jax.Array, "x seq lane"],
+        free: Int[jax.Array, "lane k"],
+        measured: Float[jax.Array, "time y seq"],
+        weight: Float[jax.Array, "time y seq"],
+    ) -> tuple[Float[jax.Array, "seq lane"], Float[jax.Array, "d seq lane"], Float[jax.Array, "d d seq lane"]]:
+        """Σ e², Σ w dy e and Σ w dy w dyᵀ over the samples of every sequence, e = w (measured - y); d as in `along`.
+
+        Weight 0: not measured. A derivative that is not finite counts as zero.
+        """
+        rest, d = x0.shape[1:], free.shape[1] + len(self.sizes.start)
+        given = (u, theta, x0, free.astype(jnp.int64), measured, weight)
+        squares, pull, matrix = self._call("free_run_normal", [rest, (d, *rest), (d, d, *rest)], *given)
+        return squares, pull, matrix
+
+    def _call(self, target: str, shapes: Sequence[tuple[int, ...]], *arrays: jax.Array) -> Sequence[jax.Array]:
         like = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
         call = jax.ffi.ffi_call(f"pgrssnn_{target}", like, vmap_method="broadcast_all")
-        y, other = call(*arrays, program=np.int64(self.number))
-        return y, other
+        return call(*arrays, program=np.int64(self.number))
 
 
 def compiled_free_runs(step: Program, measure: Program, sizes: Sizes, after_step: bool) -> FreeRuns | None:
@@ -133,7 +152,8 @@ static int start(int s) {{ static const int of[] = {{{start}}}; return of[s]; }}
 {"".join(parts)}}};
 }}
 extern "C" const FreeRuns pgrssnn_free_runs = {{
-    {{Model::kP, Model::kX, Model::kU, Model::kY, Model::kStart}}, run<Model>, run_along<Model>}};
+    {{Model::kP, Model::kX, Model::kU, Model::kY, Model::kStart}},
+    run<Model>, derivatives<Model>, normal_equations<Model>}};
 """
 
 

@@ -117,25 +117,35 @@ def step(task: Task, state: State, tolerance: jax.Array) -> State:
 
 
 def _linearise(task: Task, state: State) -> Normal:
+    squares, pull, matrix = _sums(task, state)
+    own, by_sequence = _costs(task, state.theta, state.x0, squares)
+    cost = own + task.total(by_sequence.sum(0))
+    return Normal(jnp.where(jnp.isfinite(own), cost, jnp.inf), matrix, pull)
+
+
+def _sums(task: Task, state: State) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """eᵀe `[seq, lane]`, Jᵀe and JᵀJ of every sequence; a derivative that is not finite counts as zero."""
+    if task.code.compiled is not None:
+        squares, pull, matrix = task.code.compiled.normal(
+            task.u, state.theta, state.x0, task.free, task.y, task.weight[..., 0]
+        )
+        return squares, jnp.moveaxis(pull, 0, -1), jnp.moveaxis(matrix, (0, 1), (-2, -1))
     found, dy = with_derivatives(task.code, task.u, state.theta, state.x0, task.free)
     error, weight = _error(task, found), task.weight[:, :, None]
     columns = jnp.where(weight > 0, weight * dy, 0.0)
     columns = jnp.where(jnp.isfinite(columns), columns, 0.0)
-    own, by_sequence = _costs(task, state.theta, state.x0, error)
-    matrix = jnp.einsum("tydsl,tyesl->slde", columns, columns)
-    cost = own + task.total(by_sequence.sum(0))
-    return Normal(jnp.where(jnp.isfinite(own), cost, jnp.inf), matrix, jnp.einsum("tydsl,tysl->sld", columns, error))
+    pull = jnp.einsum("tydsl,tysl->sld", columns, error)
+    return (error**2).sum((0, 1)), pull, jnp.einsum("tydsl,tyesl->slde", columns, columns)
 
 
 def _error(task: Task, found: jax.Array) -> jax.Array:
     return jnp.where(task.weight > 0, task.weight * (task.y[..., None] - found), 0.0)
 
 
-def _costs(task: Task, theta: jax.Array, x0: jax.Array, error: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Of the numbers `[lane]`, and of every sequence with its start `[seq, lane]`."""
+def _costs(task: Task, theta: jax.Array, x0: jax.Array, squares: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Of the numbers `[lane]`, and of every sequence with its start `[seq, lane]`. squares: eᵀe."""
     known = task.limits.precision
-    start = (task.precision * (x0 - task.guessed) ** 2).sum(0)
-    by_sequence = (error**2).sum((0, 1)) + start
+    by_sequence = squares + (task.precision * (x0 - task.guessed) ** 2).sum(0)
     departure = jnp.where(known > 0, theta - task.limits.nominal, 0.0)
     return (known * departure**2).sum(0), jnp.where(jnp.isfinite(by_sequence), by_sequence, jnp.inf)
 
@@ -198,7 +208,8 @@ def _try(task: Task, state: State, theta: jax.Array, x0: jax.Array) -> Trials:
     all others."""
 
     def tried(theta: jax.Array, x0: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return _costs(task, theta, x0, _error(task, free_run(task.code, task.u, theta, x0)[0]))
+        error = _error(task, free_run(task.code, task.u, theta, x0)[0])
+        return _costs(task, theta, x0, (error**2).sum((0, 1)))
 
     if not task.many:
         own, by_sequence = jax.vmap(tried)(theta, x0)

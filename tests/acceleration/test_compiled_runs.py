@@ -80,6 +80,37 @@ def test_free_runs_and_their_derivatives_are_those_of_jax(plant, lanes):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
 
 
+def sums(y, dy, measured, weight):
+    """eᵀe, Jᵀe and JᵀJ of every sequence and lane, by NumPy."""
+    weighted = np.nan_to_num(weight[:, :, None, :, None] * dy, nan=0.0, posinf=0.0, neginf=0.0)
+    error = np.where(weight > 0, weight * np.nan_to_num(measured), 0.0)[..., None] - weight[..., None] * y
+    return [
+        np.einsum(how, *arrays)
+        for how, *arrays in (
+            ("tysl,tysl->sl", error, error),
+            ("tydsl,tysl->dsl", weighted, error),
+            ("tydsl,tyesl->desl", weighted, weighted),
+        )
+    ]
+
+
+# a sample that was not measured is NaN in some records
+@pytest.mark.parametrize(("plant", "lanes"), [
+    ("linear", 3), ("toy, measured before", 19), pytest.param("tanks", 19, marks=pytest.mark.compiles),
+])  # fmt: skip
+def test_normal_equations_are_those_of_the_derivatives(plant, lanes):
+    code, _, theta = codes(plant)
+    assert code.compiled is not None
+    given = arrays(code, theta, lanes, seed=lanes)
+    y, dy = map(np.asarray, code.compiled.along(*given))
+    draw = np.random.default_rng(1)
+    weight = draw.uniform(0.5, 2.0, y.shape[:-1]) * (draw.uniform(size=y.shape[:-1]) > 0.3)
+    measured = np.where(weight > 0, draw.normal(size=y.shape[:-1]), np.nan)
+    found = code.compiled.normal(*given, jnp.asarray(measured), jnp.asarray(weight))
+    for one, expected in zip(found, sums(y, dy, measured, weight), strict=True):
+        np.testing.assert_allclose(one, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
+
+
 def toy_runs(measure, p: int, x: int, y: int) -> FreeRuns | None:
     """Free runs in which the state stays as it is; measure(θ, x, u)."""
     step = written_out(lambda theta, x, u: x, (p, x, 1), moving=2)
@@ -129,6 +160,18 @@ def test_what_is_not_finite_stays_so():
     x = jnp.asarray([[[np.nan, np.inf, -np.inf]]])
     y, _ = runs.run(jnp.zeros((2, 1, 1)), jnp.ones((1, 3)), x)
     np.testing.assert_array_equal(y[1, :, 0], [[np.nan, np.inf, 1.0], [np.nan, 1.0, -1.0], [np.nan, np.inf, -np.inf]])
+
+
+def test_normal_equations_leave_out_derivatives_that_are_not_finite_but_no_error_that_is_not():
+    runs = toy_runs(lambda theta, x, u: theta[0] + jnp.sqrt(x), 1, 1, 1)
+    assert runs is not None
+    x = jnp.asarray([[[-1.0, 0.0, 4.0]]])  # no value; no derivative; both
+    given = (jnp.zeros((1, 1, 1)), jnp.zeros((1, 3)), x, jnp.zeros((3, 1), int), jnp.ones((1, 1, 1)))
+    squares, pull, matrix = runs.normal(*given, jnp.full((1, 1, 1), 2.0))
+    np.testing.assert_allclose(squares[0], [np.nan, 4.0, 4.0])
+    np.testing.assert_allclose(pull[:, 0, 1:], [[4.0, -4.0], [0.0, -1.0]])
+    np.testing.assert_allclose(matrix[:, :, 0, 1], [[4.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_allclose(matrix[:, :, 0, 2], [[4.0, 1.0], [1.0, 0.25]])
 
 
 def test_programs_in_one_process_do_not_mix():

@@ -70,6 +70,24 @@ ffi::Error Along(int64_t program, In u, In theta, In x0, Free free, Out y, Out d
   });
 }
 
+ffi::Error Normal(int64_t program, In u, In theta, In x0, Free free, In measured, In weight, Out squares, Out pull,
+                  Out matrix) {
+  const auto places = free.dimensions();
+  const int64_t count = places[places.size() - 1];
+  return for_members(program, u, theta, x0, [&](const FreeRuns& runs, Task task, int64_t m) {
+    const int64_t samples = m * task.time * runs.sizes.y * task.seqs, size = m * task.seqs * task.lanes;
+    const int64_t d = count + runs.sizes.start;
+    task.free_count = count;
+    task.free = free.typed_data() + m * task.lanes * count;
+    task.measured = measured.typed_data() + samples;
+    task.weight = weight.typed_data() + samples;
+    task.squares = squares->typed_data() + size;
+    task.pull = pull->typed_data() + size * d;
+    task.matrix = matrix->typed_data() + size * d * d;
+    runs.normal(task);
+  });
+}
+
 }  // namespace
 
 extern "C" void pgrssnn_register(int64_t number, const FreeRuns* program) {
@@ -83,3 +101,8 @@ XLA_FFI_DEFINE_HANDLER_SYMBOL(
 XLA_FFI_DEFINE_HANDLER_SYMBOL(
     pgrssnn_free_run_along, Along,
     ffi::Ffi::Bind().Attr<int64_t>("program").Arg<In>().Arg<In>().Arg<In>().Arg<Free>().Ret<In>().Ret<In>());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(pgrssnn_free_run_normal, Normal,
+                              ffi::Ffi::Bind()
+                                  .Attr<int64_t>("program")
+                                  .Arg<In>().Arg<In>().Arg<In>().Arg<Free>().Arg<In>().Arg<In>()
+                                  .Ret<In>().Ret<In>().Ret<In>());

@@ -91,46 +91,157 @@ struct Directions {
   }
 };
 
+// Of every row: the columns that are ever other than zero in the lanes of a block. Effects that a lane does not have, and
+// states that nothing free acts on, leave most of them out.
+using Reached = std::vector<std::vector<int64_t>>;
+
+inline void include(std::vector<int64_t>& columns, int64_t one) {
+  const auto at = std::lower_bound(columns.begin(), columns.end(), one);
+  if (at == columns.end() || *at != one) columns.insert(at, one);
+}
+
+template <int p, int count>
+void include_entries(const Entry* entries, const Directions& moved, const Reached& from, Reached& to) {
+  for (int e = 0; e < count; ++e) {
+    auto& columns = to[entries[e].row];
+    if (entries[e].column < p)
+      for (const auto& m : moved.of[entries[e].column]) include(columns, m.place);
+    else
+      for (const int64_t column : from[entries[e].column - p]) include(columns, column);
+  }
+}
+
+template <typename Model>
+Reached reached_states(const Directions& moved, int64_t free_count) {
+  Reached now(Model::kX), before;
+  for (int s = 0; s < Model::kStart; ++s) now[Model::start(s)].push_back(free_count + s);
+  while (now != before) {
+    before = now;
+    include_entries<Model::kP, Model::kStep>(Model::step_entries(), moved, before, now);
+  }
+  return now;
+}
+
+template <typename Model>
+Reached reached_outputs(const Directions& moved, const Reached& states) {
+  Reached outputs(Model::kY);
+  include_entries<Model::kP, Model::kMeasure>(Model::measure_entries(), moved, states, outputs);
+  return outputs;
+}
+
 // to = A from + B dtheta, rows [n, d]; entries of columns below p are those of B
 template <int p, int count>
-void along(const Entry* entries, const Vector* found, const Directions& moved, const Vector* from, int rows, int64_t d,
-           Vector* to) {
-  std::fill(to, to + rows * d, Vector{});
+void along(const Entry* entries, const Vector* found, const Directions& moved, const Vector* from, const Reached& reached,
+           const Reached& results, int64_t d, Vector* to) {
+  for (size_t row = 0; row < results.size(); ++row)
+    for (const int64_t i : results[row]) to[row * d + i] = Vector{};
   for (int e = 0; e < count; ++e) {
     Vector* row = to + entries[e].row * d;
     if (entries[e].column < p) {
       for (const auto& m : moved.of[entries[e].column]) row[m.place] += found[e] * m.lanes;
     } else {
       const Vector* column = from + (entries[e].column - p) * d;
-      for (int64_t i = 0; i < d; ++i) row[i] += found[e] * column[i];
+      for (const int64_t i : reached[entries[e].column - p]) row[i] += found[e] * column[i];
     }
   }
 }
 
-template <typename Model>
-void run_along(const Task& task) {
+// Gives every sample with its derivatives dy [y, d] to a sink: Sink::begin(reached), add(block, t, seq, dy), end(block, seq)
+template <typename Model, typename Sink>
+void run_along(const Task& task, Sink sink) {
   const int64_t d = task.free_count + Model::kStart;
   std::vector<Vector> dx(Model::kX * d), d_next(Model::kX * d), dy(Model::kY * d);
   Vector by_step[Model::kStep + 1], by_measure[Model::kMeasure + 1];
   for (int64_t first = 0; first < task.lanes; first += kLanes) {
     Block<Model> block(task, first);
     const Directions moved(task, first, Model::kP);
+    const Reached states = reached_states<Model>(moved, task.free_count);
+    const Reached outputs = reached_outputs<Model>(moved, states);
+    std::fill(dy.begin(), dy.end(), Vector{});
     for (int64_t seq = 0; seq < task.seqs; ++seq) {
       block.begin(seq);
+      sink.begin(outputs);
       std::fill(dx.begin(), dx.end(), Vector{});
+      std::fill(d_next.begin(), d_next.end(), Vector{});
       for (int s = 0; s < Model::kStart; ++s) dx[Model::start(s) * d + task.free_count + s] = splat(1.0);
       for (int64_t t = 0; t < task.time; ++t) {
         block.read(t, seq);
         Model::step_along(block.theta, block.x, block.u, block.next, by_step);
-        along<Model::kP, Model::kStep>(Model::step_entries(), by_step, moved, dx.data(), Model::kX, d, d_next.data());
+        along<Model::kP, Model::kStep>(Model::step_entries(), by_step, moved, dx.data(), states, states, d,
+                                       d_next.data());
         Model::measure_along(block.theta, block.measured(), block.u, block.y, by_measure);
         along<Model::kP, Model::kMeasure>(Model::measure_entries(), by_measure, moved,
-                                          (Model::kAfterStep ? d_next : dx).data(), Model::kY, d, dy.data());
-        block.write(block.y, Model::kY, task.y, t, seq);
-        block.write(dy.data(), Model::kY * d, task.dy, t, seq);
+                                          (Model::kAfterStep ? d_next : dx).data(), states, outputs, d, dy.data());
+        sink.add(block, t, seq, dy.data());
         std::copy(block.next, block.next + Model::kX, block.x);
         dx.swap(d_next);
       }
+      sink.end(block, seq);
     }
   }
+}
+
+// y and dy of all samples
+template <typename Model>
+struct Written {
+  const Task& task;
+  void begin(const Reached&) {}
+  void add(const Block<Model>& block, int64_t t, int64_t seq, const Vector* dy) {
+    block.write(block.y, Model::kY, task.y, t, seq);
+    block.write(dy, Model::kY * (task.free_count + Model::kStart), task.dy, t, seq);
+  }
+  void end(const Block<Model>&, int64_t) {}
+};
+
+// The normal equations of the weighted errors e = w (measured - y): sums of e e, w dy e and w dy w dy. A derivative that
+// is not finite counts as zero.
+template <typename Model>
+struct Summed {
+  const Task& task;
+  int64_t d = task.free_count + Model::kStart;
+  Vector squares{};
+  std::vector<Vector> pull = std::vector<Vector>(d), matrix = std::vector<Vector>(d * d), columns = pull;
+  const Reached* reached = nullptr;
+
+  void begin(const Reached& outputs) {
+    reached = &outputs;
+    squares = Vector{};
+    std::fill(pull.begin(), pull.end(), Vector{});
+    std::fill(matrix.begin(), matrix.end(), Vector{});
+  }
+  void add(const Block<Model>& block, int64_t t, int64_t seq, const Vector* dy) {
+    for (int64_t k = 0; k < Model::kY; ++k) {
+      const int64_t at = (t * Model::kY + k) * task.seqs + seq;
+      if (!(task.weight[at] > 0.0)) continue;
+      const Vector weight = splat(task.weight[at]), error = weight * (splat(task.measured[at]) - block.y[k]);
+      squares += error * error;
+      const auto& places = (*reached)[k];
+      for (const int64_t i : places) {
+        const Vector column = weight * dy[k * d + i];
+        columns[i] = is_finite(column) ? column : splat(0.0);
+        pull[i] += columns[i] * error;
+      }
+      for (size_t i = 0; i < places.size(); ++i) {
+        const Vector one = columns[places[i]];
+        Vector* row = matrix.data() + places[i] * d;
+        for (size_t j = 0; j <= i; ++j) row[places[j]] += one * columns[places[j]];
+      }
+    }
+  }
+  void end(const Block<Model>& block, int64_t seq) {
+    store(squares, block.row(task.squares, 0, seq), block.first, task.lanes);
+    block.write(pull.data(), d, task.pull, 0, seq);
+    for (int64_t i = 0; i < d; ++i)
+      for (int64_t j = 0; j < i; ++j) matrix[j * d + i] = matrix[i * d + j];
+    block.write(matrix.data(), d * d, task.matrix, 0, seq);
+  }
+};
+
+template <typename Model>
+void derivatives(const Task& task) {
+  run_along<Model>(task, Written<Model>{task});
+}
+template <typename Model>
+void normal_equations(const Task& task) {
+  run_along<Model>(task, Summed<Model>{task});
 }
