@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from discovery.small_cases import fine_tanks, pump
+from scipy.integrate import solve_ivp
 from toys import quick_jit
 
 from pgrssnn_jax.effects.base import Effect, SignalRange, add
@@ -145,6 +146,15 @@ def test_a_bypass_takes_from_the_upper_tank_what_it_gives_to_the_lower():
     free, found = step(None, x, u), step("bypass", x, u, {"share": 0.25})
     passed = 4.0 * 0.25 * 0.0412 * 3.0
     np.testing.assert_allclose(found - free, [[-passed, passed]], rtol=0.06)
+
+
+@pytest.mark.parametrize("level", [0.2, 0.8, 5.0])
+def test_an_outlet_exponent_counts_at_every_level(level):
+    x, u, own = np.array([[0.0, level]]), np.array([[0.0]]), tanks().params
+    flows = (lambda t, y, power=power: own["k5"] * y - own["k4"] * y**power for power in (0.5, 0.7))
+    free, expected = (solve_ivp(flow, (0.0, 4.0), [level], rtol=1e-9).y[0, -1] for flow in flows)
+    found = step("outlet_exponent", x, u, {"exponent": 0.7}) - step(None, x, u)
+    np.testing.assert_allclose(found[0, 1], expected - free, rtol=0.05)
 
 
 @pytest.mark.parametrize("name", NAMES)

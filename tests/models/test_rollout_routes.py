@@ -96,6 +96,15 @@ def test_chunks_and_devices_that_cannot_be_are_refused(key, how, said):
         rollout(model, toy_params(model, key), *toy_signals(), **how)
 
 
+def test_without_kernels_the_native_route_alone_is_refused(key, monkeypatch):
+    monkeypatch.setattr("pgrssnn_jax.models.rollout.missing_kernels", lambda: "no compiler")
+    model = toy_model(SPECS["physics"])
+    params, signals = toy_params(model, key), toy_signals()
+    with pytest.raises(ValueError, match="expected 'split' or None here, found 'native': no compiler"):
+        rollout(model, params, *signals, route="native")
+    assert np.isfinite(rollout(model, params, *signals, route="split").y).all()
+
+
 @pytest.mark.parametrize("name", [
     "two layers with biases", *(pytest.param(n, marks=pytest.mark.compiles) for n in ("RSSNN-sgm", "dense")), "physics",
 ])  # fmt: skip

@@ -139,11 +139,13 @@ def test_arguments_are_keywords_and_n_init_is_said(figure):
         figure(measured=MEASURED, predicted=PREDICTED)
 
 
-@pytest.mark.parametrize("value", [0.0, 2.0])
+@pytest.mark.parametrize("value", [0.0, 2.0, -2.0])
 def test_a_constant_output_has_no_nrmse_fit_or_cc(value):
-    constant = np.full(MEASURED.shape, value)
+    constant, mask = np.full(MEASURED.shape, value), np.ones(MEASURED.shape, bool)
+    mask[:, 1] = False
     for figure in (nrmse, fit_percent, correlation):
-        assert np.isnan(figure(measured=constant, predicted=PREDICTED, n_init=0)).all()
+        for counted in (None, mask):
+            assert np.isnan(figure(measured=constant, predicted=PREDICTED, n_init=0, mask=counted)).all()
     assert np.isnan(correlation(measured=MEASURED, predicted=constant, n_init=0)).all()
     assert np.isfinite(nrmse(measured=MEASURED, predicted=constant, n_init=0)).all()
 
