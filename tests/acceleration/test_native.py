@@ -38,6 +38,13 @@ def both_ways(arrays):
     return [(layer(*arrays), gradients(layer)) for layer in (gru_layer, by_scan)]
 
 
+def agree(arrays):
+    (states, gradients), (expected_states, expected_gradients) = both_ways(arrays)
+    np.testing.assert_allclose(states, expected_states, rtol=0, atol=2e-6)
+    for found, expected in zip(gradients, expected_gradients, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
+
+
 HIDDEN, LENGTHS = (16, 64, 5, 22), ((1, 1), (130, 1), (64, 1), (9, 13), (3, 70))
 #: every size and every length, each with two others at least
 SIZES = [
@@ -52,18 +59,12 @@ SIZES = [
 @needs_kernel
 @pytest.mark.parametrize(("length", "hidden"), SIZES)
 def test_values_and_gradients_are_those_of_the_scan(length, hidden):
-    (states, gradients), (expected_states, expected_gradients) = both_ways(weights(hidden, *length))
-    np.testing.assert_allclose(states, expected_states, rtol=0, atol=2e-6)
-    for found, expected in zip(gradients, expected_gradients, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
+    agree(weights(hidden, *length))
 
 
 @needs_kernel
 def test_an_input_may_have_another_size_than_the_state():
-    (states, gradients), (expected_states, expected_gradients) = both_ways(weights(16, 40, 3, n_in=5))
-    np.testing.assert_allclose(states, expected_states, rtol=0, atol=2e-6)
-    for found, expected in zip(gradients, expected_gradients, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * (1 + np.abs(expected).max()))
+    agree(weights(16, 40, 3, n_in=5))
 
 
 @needs_kernel
