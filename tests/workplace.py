@@ -1,6 +1,9 @@
 """What the pages take for granted: files of one's own, a physics, an effect, a robot and its log, and finished runs."""
 
 import re
+import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +15,17 @@ from commands import ROOT, called
 import pgrssnn_jax as pg
 
 SAMPLES = 400
+_ONCE = tempfile.TemporaryDirectory(prefix="pgrssnn_jax_workplace_")
 
 
 def furnish(folder: Path, page: Path) -> None:
     """The files, and the runs if the page speaks of any."""
+    _files(folder)
+    if any(re.search(r"runs/FOLDER|\bRUN\b|runs=runs", text) for _, text in BLOCK.findall(page.read_text())):
+        shutil.copytree(_finished_runs(), folder / "runs")
+
+
+def _files(folder: Path) -> None:
     (folder / "my_physics.py").write_text(saved_block(ROOT / "README.md", "my_physics.py"))
     (folder / "my_effects.py").write_text(saved_block(ROOT / "docs/own_system.md", "my_effects.py"))
     for seed, name in enumerate(("A.csv", "B.csv", "C.csv")):
@@ -23,8 +33,6 @@ def furnish(folder: Path, page: Path) -> None:
     for name in ("my_arm.urdf", "tx40.urdf"):
         (folder / name).write_text(_robot())
     _log().to_csv(folder / "log.csv", index=False)
-    if any(re.search(r"runs/FOLDER|\bRUN\b|runs=runs", text) for _, text in BLOCK.findall(page.read_text())):
-        _finished_runs(folder)
 
 
 def pendulum() -> pg.Physics:
@@ -104,8 +112,11 @@ def _robot() -> str:
     return f"<robot name='six'>{''.join(parts)}</robot>"
 
 
-def _finished_runs(folder: Path) -> None:
-    """runs/tanks and runs/pendulum, and a discovery on the tanks in runs/found."""
+@cache
+def _finished_runs() -> Path:
+    """runs/tanks and runs/pendulum, and a discovery on the tanks in runs/found; each worker makes them once."""
+    folder = Path(_ONCE.name)
+    _files(folder)
     tanks, own = ["+experiment=cascaded_tank"], ["physics._target_=my_physics.pendulum", "data=csv"]
     files = ["data.train=A.csv", "data.test=B.csv"]
     for script, given, name in (
@@ -113,3 +124,4 @@ def _finished_runs(folder: Path) -> None:
     ):  # fmt: skip
         code, _, err = called(*given, *budget(script, given), f"hydra.run.dir=runs/{name}", cwd=folder, script=script)
         assert code == 0, err
+    return folder / "runs"

@@ -163,9 +163,9 @@ def _spectrum(found: Discovery, setup: Setup) -> dict[str, Any] | None:
     line = found.nameless.line
     if line is None:
         return None
-    unit, weight = setup.estimation.info.outputs[line.output].unit, found.signals.weight[..., line.output].max()
-    period = line.period * found.problem.physics.dt
-    return {"period_s": period, "amplitude": line.amplitude / float(weight), "unit": unit, "share": line.share}
+    output, weight = setup.estimation.info.outputs[line.output], found.signals.weight[..., line.output].max()
+    numbers = {"period_s": line.period * found.problem.physics.dt, "amplitude": line.amplitude / float(weight)}
+    return {**numbers, "unit": output.unit, "share": line.share, "output": output.name}
 
 
 def disagreement(found: Discovery) -> list[dict[str, Any]]:

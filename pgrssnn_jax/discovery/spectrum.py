@@ -28,12 +28,25 @@ class Line(NamedTuple):
 
 def spectral_line(error: Float[np.ndarray, "seq time y"], u: Float[np.ndarray, "seq time u"]) -> Line | None:
     """The strongest line in the errors that stands out of its neighbourhood and is not one of the input."""
-    found = []
-    for j in range(error.shape[2]):
-        line = _strongest(error[..., j])
-        if line is not None and not _driven(u, round(error.shape[1] / line.period)):
-            found.append(line._replace(output=j))
+    found = [line for line in lines_of(error) if not has_line(u, line)]
     return max(found, key=lambda line: line.share, default=None)
+
+
+def lines_of(error: Float[np.ndarray, "seq time y"]) -> list[Line]:
+    """The strongest line of each output that has one."""
+    found = [_strongest(error[..., j]) for j in range(error.shape[2])]
+    return [line._replace(output=j) for j, line in enumerate(found) if line is not None]
+
+
+def power_at(signal: Float[np.ndarray, "seq time"], line: Line) -> float:
+    return float(_power(signal)[round(signal.shape[1] / line.period)])
+
+
+def has_line(u: Float[np.ndarray, "seq time u"], line: Line) -> bool:
+    """Has any input a line in this bin?"""
+    k, moved = round(u.shape[1] / line.period), u - u.mean(1, keepdims=True)
+    powers = [_power(moved[..., j]) for j in range(u.shape[2]) if np.any(moved[..., j])]
+    return any(power[k] >= _LINE * _surroundings(power, k) for power in powers)
 
 
 def without_line(
@@ -65,13 +78,6 @@ def _strongest(error: Float[np.ndarray, "seq time"]) -> Line | None:
     if not power[k] > _LINE * _surroundings(power, k) or share <= _LINE_SHARE:
         return None
     return Line(time / (k + _top(power[k - 1 : k + 2])), float(np.sqrt(2.0 * share * (error**2).mean())), share, 0)
-
-
-def _driven(u: Float[np.ndarray, "seq time u"], k: int) -> bool:
-    """Has any input a line in this bin?"""
-    moved = u - u.mean(1, keepdims=True)
-    powers = [_power(moved[..., j]) for j in range(u.shape[2]) if np.any(moved[..., j])]
-    return any(power[k] >= _LINE * _surroundings(power, k) for power in powers)
 
 
 def _power(signal: Float[np.ndarray, "seq time"]) -> Float[np.ndarray, " bin"]:

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
 from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Samples, Torques, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.fit import Gain
+from pgrssnn_jax.discovery.inverse.hum import hum
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
 from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
 from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select, with_everything
@@ -23,6 +24,7 @@ from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried
 from pgrssnn_jax.discovery.inverse.unnamed import Unnamed, unnamed
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Setup, Start
+from pgrssnn_jax.discovery.spectrum import Line
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.effects.systems import system_of
 from pgrssnn_jax.records.record import Record
@@ -32,6 +34,7 @@ FRICTION = {"viscous_friction": "B", "coulomb_friction": "Tc"}
 _SAMPLES, _FINAL, _COARSE = 2000, 1000, 500  # of each joint: for effects, for the best structures, for all of them
 _SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belongs to it
 _OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
+_WIDER = (1.0, 2.0, 4.0)  # times the chosen cut-off: where a hum is looked for
 # Standard deviation of a gain from 1, and of a link's mass from the described one over it, before any data: weaker than
 # any data sheet. Where a description has neither friction nor motor inertia, all torques of a joint could grow with its
 # gain. 0.25 to 1 give the measured arms alike.
@@ -65,10 +68,10 @@ class Reading(NamedTuple):
 class Found(NamedTuple):
     """theta: nominal, recalibrated and final numbers, by stage; active: places of the effects in θ; friction: places of
     own numbers that left their prior, by the effect that has their law; nameless: joints whose torques follow the
-    motion by no effect's law; std: of the last two stages; p_values; without: test error without each effect; shift:
-    samples between a torque and its motion; gain: in the log-likelihood of the test record over the recalibrated
-    physics, or over the nominal one where friction alone has left its prior; floor: error of noise alone; freedom:
-    degrees of it, of the deviations."""
+    motion by no effect's law; line: a hum, motor Nm; std: of the last two stages; p_values; without: test error without
+    each effect; shift: samples between a torque and its motion; gain: in the log-likelihood of the test record over the
+    recalibrated physics, or over the nominal one where friction alone has left its prior; floor: error of noise alone;
+    freedom: degrees of it, of the deviations."""
 
     problem: Problem
     verdict: Verdict
@@ -78,6 +81,7 @@ class Found(NamedTuple):
     active: Active
     friction: Active
     nameless: Unnamed | None
+    line: Line | None
     p_values: Mapping[str, float]
     without: Mapping[str, float]
     shift: float
@@ -148,18 +152,20 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
             compared(model, motion, fastest, theta, scale[part], chosen.kappa) for part, motion in read.items()
         )
         without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
+        line = _hum(model, reading, setup, theta["after"])
         gain = test.gains["recalibrated" if active else "before"]
         floor = _floor(model, setup, train, test, samples, last.theta)
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
-        verdict=_verdict(setup, chosen, active, friction, nameless, train, test, gain, floor),
+        verdict=_verdict(setup, chosen, active, friction, nameless or line, train, test, gain, floor),
         chosen=chosen,
         theta=theta,
         std=std,
         active=active,
         friction=friction,
         nameless=nameless,
+        line=line,
         p_values=p_values,
         without=without,
         shift=reading.shift,
@@ -238,6 +244,13 @@ def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Readi
     return min((Reading(dt, c, shift, at_rest, edge) for c in sorted(cutoffs) for shift in _SHIFTS), key=missed)
 
 
+def _hum(model: Torques, reading: Reading, setup: Setup, theta: Float[np.ndarray, " p"]) -> Line | None:
+    """A line that the chosen cut-off hides stands out at a wider one, whose noise is spread over all frequencies."""
+    motions = [reading._replace(cutoff=reading.cutoff * octave).of(setup.estimation) for octave in _WIDER]
+    asked = [model.errors(theta, samples_of(motion, fastest_of(motion))) for motion in motions]
+    return hum((motion, error.T.reshape(motion.torque.shape)) for motion, error in zip(motions, asked, strict=True))
+
+
 def _floor(
     model: Torques, setup: Setup, train: Compared, test: Compared, samples: Samples, theta: Float[np.ndarray, " p"]
 ) -> float:
@@ -259,7 +272,7 @@ def _verdict(
     selection: Chosen,
     active: Active,
     friction: Active,
-    nameless: Unnamed | None,
+    nameless: Unnamed | Line | None,
     train: Compared,
     test: Compared,
     gain: Gain,

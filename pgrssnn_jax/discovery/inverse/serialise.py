@@ -41,8 +41,8 @@ def torques_json(found: Found, setup: Setup, *, command: str) -> dict[str, Any]:
         "effects": effects,
         "alternatives": _alternatives(found),
         "untestable": _untestable(found, setup),
-        "formula": _nameless(found.nameless) if found.nameless else None,
-        "spectrum": None,
+        "formula": _follow(found.nameless) if found.nameless else None,
+        "spectrum": _spectrum(found),
         "follows": _follows(found),
         "disagreement": [],
         "remaining": _remaining(found),
@@ -120,6 +120,14 @@ def _follows(found: Found) -> dict[str, Any] | None:
         return None
     joints, share = found.nameless
     return {"joints": [joint + 1 for joint in joints], "share": share}
+
+
+def _spectrum(found: Found) -> dict[str, Any] | None:
+    if found.line is None:
+        return None
+    torque, period = found.problem.physics.inputs[found.line.output], found.line.period * found.problem.physics.dt
+    numbers = {"period_s": period, "amplitude": found.line.amplitude, "unit": torque.unit, "share": found.line.share}
+    return {**numbers, "output": torque.name}
 
 
 def _number(value: float) -> float | None:
@@ -232,9 +240,9 @@ def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]
     if found.verdict is Verdict.UNEXPLAINED:
         return f"Errors stand above the noise of {gap['floor']:.2g} and nothing accounts for them; {errors}. {left}"
     titles = " and ".join(_titled(effect) for effect in effects)
-    if found.nameless is not None:
+    if nameless := _nameless(found):
         helped = f", {after:.3g} with {titles}, which helps but does not explain it" if effects else ""
-        return f"Something is missing that no effect explains: {_nameless(found.nameless)}; {errors}{helped}. {left}"
+        return f"Something is missing that no effect explains: {nameless}; {errors}{helped}. {left}"
     shown = f"{errors}, {after:.3g} with it"
     if found.verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {shown}. {left}"
@@ -243,7 +251,17 @@ def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]
     return f"Missing: {titles}{others}; {shown} ({share:.0f} % of the gap above the noise closed). {left}"
 
 
-def _nameless(one: Unnamed) -> str:
+def _nameless(found: Found) -> str:
+    """What is known of something without a name; empty where there is nothing."""
+    said = [_follow(found.nameless)] if found.nameless else []
+    if (line := found.line) is not None:
+        rate = 1.0 / (line.period * found.problem.physics.dt)
+        size = f"{line.amplitude:.2g} {found.problem.physics.inputs[line.output].unit} at {rate:.3g} Hz"
+        said.append(f"a hum of joint {line.output + 1}, {size} ({100 * line.share:.0f} % of its errors)")
+    return "; ".join(said)
+
+
+def _follow(one: Unnamed) -> str:
     which = ", ".join(str(joint + 1) for joint in one.joints)
     joints = f"joint{'s' if len(one.joints) > 1 else ''} {which}"
     return f"torques of {joints} follow the positions and the joint's own speed ({100 * one.share:.0f} % of the errors)"
