@@ -18,20 +18,28 @@ def step_within(
     low: Float[np.ndarray, " k"],
     high: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, " k"]:
-    """δ for N = normal and g = pull."""
+    """δ for N = normal and g = pull.
+
+    Holding one number w at c changes the others along its column of the inverse P of N:
+    δ += P_w (c - δ_w) / P_ww,   P -= P_w P_wᵀ / P_ww
+    """
     size, scaled = _scaled(normal)
     right, lowest, highest = pull / size, low * size, high * size  # in units of the columns
-    fixed = np.zeros(len(pull), bool)
-    step = np.zeros(len(pull))
-    while not fixed.all():
-        free = np.flatnonzero(~fixed)
-        held = np.where(fixed, step, 0.0)
-        step[free] = np.linalg.solve(scaled[free[:, None], free], (right - scaled @ held)[free])
-        beyond = np.maximum(lowest - step, step - highest)[free]
-        worst = free[beyond.argmax()]
-        if beyond.max() <= 0.0:
+    inverse, free = np.linalg.inv(scaled), np.ones(len(pull), bool)
+    step = inverse @ right
+    while free.any():
+        beyond = np.where(free, np.maximum(lowest - step, step - highest), -np.inf)
+        worst = int(beyond.argmax())
+        if beyond[worst] <= 0.0:
             break
-        step[worst], fixed[worst] = np.clip(step[worst], lowest[worst], highest[worst]), True
+        along = inverse[worst] / inverse[worst, worst]
+        at = lowest[worst] if lowest[worst] > step[worst] else highest[worst]
+        step += along * (at - step[worst])
+        inverse -= np.outer(along, inverse[worst])
+        step[worst], free[worst] = at, False
+        inverse[worst] = inverse[:, worst] = 0.0
+    left = np.flatnonzero(free)  # once more without the rounding of an inverse
+    step[left] = np.linalg.solve(scaled[left[:, None], left], (right - scaled @ np.where(free, 0.0, step))[left])
     return np.clip(step / size, low, high)
 
 

@@ -26,6 +26,7 @@ _FINALISTS = 4
 # Of the logarithm of the RMS error of the joint that gains most: less is not worth a name (docs: sensitivity).
 _FALL = 0.1
 Active = Mapping[str, Int[np.ndarray, " _"]]
+Screened = Mapping[str, tuple[Gain, Float[np.ndarray, " p"]]]
 
 
 class Model(NamedTuple):
@@ -104,9 +105,11 @@ def select(search: Search, tried: Sequence[Tried], notify: Callable[[str], None]
     everything = Model(search.fit(everything.fit.theta, everything.active), everything.active)
     recalibrated = search.fit(problem.theta, {})
     start = Model(search.fit(theta, structure), structure)
-    candidates = {name: one for name, (one, _) in _screened(search, start).items()}
-    backward = _grown(search, _pruned(search, everything), notify)
-    forward = _grown(search, start, notify)
+    screened = _screened(search, start)
+    candidates = {name: one for name, (one, _) in screened.items()}
+    smaller = _pruned(search, everything)
+    backward = _grown(search, smaller, _screened(search, smaller), notify)
+    forward = _grown(search, start, screened, notify)
     final = _single_pruned(search, _better(search, forward, backward))
     without = {name: _without(search, final, name).fit for name in final.active}
     gains = {name: search.gain(fit, final.fit) for name, fit in without.items()}
@@ -177,31 +180,31 @@ def _better(search: Search, one: Model, other: Model) -> Model:
     return more if search.worth(search.gain(fewer.fit, more.fit)) else fewer
 
 
-def _grown(search: Search, now: Model, notify: Callable[[str], None]) -> Model:
+def _grown(search: Search, now: Model, screened: Screened, notify: Callable[[str], None]) -> Model:
     """With whatever else predicts, one effect after another, elaborate ones when no plain one does; what has been
-    superfluous once does not come back."""
+    superfluous once does not come back. screened: beside the model from which it grows."""
     refused, superfluous = set[str](), set[str]()
     while True:
-        found = {name: one for name, one in _screened(search, now).items() if name not in refused | superfluous}
         worth = [
             (search.problem.effect(name).elaborate, -one.value, name)
-            for name, (one, _) in found.items()
-            if search.worth(one)
+            for name, (one, _) in screened.items()
+            if name not in refused | superfluous and search.worth(one)
         ]
         if not worth:
             return now
         *_, name = min(worth)
         refused.add(name)
         active = {**now.active, name: search.problem.of(name)}
-        grown = Model(search.fit(found[name][1], active), active)
+        grown = Model(search.fit(screened[name][1], active), active)
         better = search.gain(now.fit, grown.fit)
         if search.worth(better):
             notify(f"{name}: log-likelihood + {better.value:.0f} ± {better.error:.0f}")
             now, refused = _pruned(search, grown), set()
+            screened = _screened(search, now)
             superfluous |= set(active) - set(now.active)
 
 
-def _screened(search: Search, now: Model) -> dict[str, tuple[Gain, Float[np.ndarray, " p"]]]:
+def _screened(search: Search, now: Model) -> Screened:
     """Gain of every effect that is not there, by one linear step from where its fit begins, and θ there."""
     problem, span = search.problem, span_of(search.samples)
     found: dict[str, tuple[Gain, np.ndarray]] = {}
