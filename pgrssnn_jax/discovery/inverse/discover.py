@@ -16,10 +16,11 @@ from threadpoolctl import threadpool_limits
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
 from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Samples, Torques, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.fit import Gain
-from pgrssnn_jax.discovery.inverse.hum import hum
+from pgrssnn_jax.discovery.inverse.hum import hum_of
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
-from pgrssnn_jax.discovery.inverse.motion import Motion, filters, motion_of, spectrum_of, thinned
-from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select, with_everything
+from pgrssnn_jax.discovery.inverse.motion import Motion, few, motion_of, spectrum_of
+from pgrssnn_jax.discovery.inverse.reading import COARSE, FAST, Reading, best_reading
+from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select
 from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, best_structures, near, wrapped
 from pgrssnn_jax.discovery.inverse.unnamed import Unnamed, unnamed
 from pgrssnn_jax.discovery.problem import Problem, build_problem
@@ -27,42 +28,18 @@ from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.spectrum import Line
 from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.effects.systems import system_of
-from pgrssnn_jax.records.record import Record
 
 NOISIEST = 0.1  # standard deviation of accelerations over that of their noise: above, runs are simulated instead
 FRICTION = {"viscous_friction": "B", "coulomb_friction": "Tc"}
-_SAMPLES, _FINAL, _COARSE = 2000, 1000, 500  # of each joint: for effects, for the best structures, for all of them
-_SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belongs to it
-_OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
-_WIDER = (1.0, 2.0, 4.0)  # times the chosen cut-off: where a hum is looked for
+_SAMPLES, _FINAL = 2000, 1000  # of each joint: for effects, for the best structures
 # Standard deviation of a gain from 1, and of a link's mass from the described one over it, before any data: weaker than
 # any data sheet. Where a description has neither friction nor motor inertia, all torques of a joint could grow with its
 # gain. 0.25 to 1 give the measured arms alike.
 _SHARE = 0.5
 _SHARES = (("torque_gain", "gain"), ("link_mass", "share"))
-_IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
-_FAST = 0.2  # of a joint's highest speed
 _CONFIRMED = 1.96  # standard errors of a gain on the test record: 95 %
 _SHORTEST = 50  # samples: what a filter forwards and backwards takes at its ends, several times
 _ENDS = 4  # of the samples that a filter loses at the ends
-
-
-class Reading(NamedTuple):
-    """How records are read: sample time, s; cut-off, Hz; samples between a torque and the motion that belongs to it;
-    samples left out at the ends."""
-
-    dt: float
-    cutoff: float
-    shift: float
-    at_rest: bool
-    edge: int
-
-    def of(self, record: Record) -> Motion:
-        return motion_of(record, self.dt, at_rest=self.at_rest, shift=self.shift, cutoff=self.cutoff, edge=self.edge)
-
-    @property
-    def words(self) -> str:
-        return f"positions low-pass filtered at {self.cutoff:.2g} Hz" if self.cutoff < 1.0 / self.dt else "no filter"
 
 
 class Found(NamedTuple):
@@ -152,7 +129,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
             compared(model, motion, fastest, theta, scale[part], chosen.kappa) for part, motion in read.items()
         )
         without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
-        line = _hum(model, reading, setup, theta["after"])
+        line = hum_of(model, reading, setup.estimation, theta["after"])
         gain = test.gains["recalibrated" if active else "before"]
         floor = _floor(model, setup, train, test, samples, last.theta)
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
@@ -183,15 +160,15 @@ def _search(
 ) -> tuple[Reading, Search, list[Tried]]:
     """How the records are read, and the structures among whose neighbours effects are looked for."""
     chosen, problem, fastest = setup.settings, model.problem, fastest_of(motion)
-    coarse = samples_of(_few(motion, _COARSE), fastest)
+    coarse = samples_of(few(motion, COARSE), fastest)
     search = Search(model, coarse, own_places(problem), np.ones(len(fastest)), chosen.folds, chosen.criteria)
     tried = best_structures(model, coarse, search.own, search.kappa, chosen.folds)
-    reading = _reading(search, tried[0], setup, motion)
+    reading = best_reading(search, tried[0], setup.estimation, motion, at_rest=_at_rest(setup))
     notify(f"evidence: inverse dynamics, {reading.words}")
     motion = reading.of(setup.estimation)
-    tried = finalists(search._replace(samples=samples_of(_few(motion, _FINAL), fastest)), tried)
+    tried = finalists(search._replace(samples=samples_of(few(motion, _FINAL), fastest)), tried)
     # Where the smoothed friction of effects is not yet whole they would make good for it, one in place of another.
-    search = search._replace(samples=samples_of(_few(motion, _SAMPLES), fastest, SMOOTHED))
+    search = search._replace(samples=samples_of(few(motion, _SAMPLES), fastest, SMOOTHED))
     inside = near(problem, tried[0].structure)
     return reading, search._replace(torques=replace(model, problem=inside)), tried
 
@@ -200,7 +177,7 @@ def _plausible(problem: Problem, fastest: Float[np.ndarray, " n"]) -> Problem:
     """A lubricant's film builds up while a joint is slow: a Stribeck speed beyond that is other friction."""
     high = problem.high.copy()
     speed = [slot.path == ("stribeck_friction", "speed") for slot in problem.slots]
-    high[speed] = np.maximum(problem.low[speed], _FAST * fastest.max())
+    high[speed] = np.maximum(problem.low[speed], FAST * fastest.max())
     return replace(problem, high=high)
 
 
@@ -217,38 +194,6 @@ def _held(problem: Problem, tolerance: float | None) -> Problem:
 
 def _at_rest(setup: Setup) -> bool:
     return setup.start is Start.AT_REST
-
-
-def _few(motion: Motion, samples: int) -> Motion:
-    return thinned(motion, max(1, motion.v.shape[0] * motion.v.shape[1] // samples))
-
-
-def _reading(search: Search, best: Tried, setup: Setup, motion: Motion) -> Reading:
-    """The shift and the cut-off at which effects predict the torque of fast joints best: it is the torque as it was
-    measured, whatever the motion was filtered by. A gain is left out, because it imitates a shift,
-    and so are slow samples: where a joint turns round, a controller's torque is late by itself."""
-    fastest, dt = fastest_of(motion), setup.physics.dt
-    begun = with_everything(search, best, _IMITATE)
-
-    def missed(reading: Reading) -> float:
-        samples = samples_of(_few(reading.of(setup.estimation), _COARSE), fastest)
-        error = search._replace(samples=samples).linear(begun.fit.theta, begun.active).error
-        fast = np.abs(samples.v) > _FAST * fastest[:, None]
-        return float(np.mean([np.log(np.mean(e[among] ** 2)) for e, among in zip(error, fast, strict=True)]))
-
-    unfiltered = 1.0 / dt
-    first = motion.cutoff or unfiltered
-    cutoffs = {cutoff if filters(cutoff, dt) else unfiltered for cutoff in (first * 2.0**k for k in _OCTAVES)}
-    at_rest, edge = _at_rest(setup), setup.estimation.u.shape[1] - motion.v.shape[1]
-    edge = edge if at_rest else edge // 2
-    return min((Reading(dt, c, shift, at_rest, edge) for c in sorted(cutoffs) for shift in _SHIFTS), key=missed)
-
-
-def _hum(model: Torques, reading: Reading, setup: Setup, theta: Float[np.ndarray, " p"]) -> Line | None:
-    """A line that the chosen cut-off hides stands out at a wider one, whose noise is spread over all frequencies."""
-    motions = [reading._replace(cutoff=reading.cutoff * octave).of(setup.estimation) for octave in _WIDER]
-    asked = [model.errors(theta, samples_of(motion, fastest_of(motion))) for motion in motions]
-    return hum((motion, error.T.reshape(motion.torque.shape)) for motion, error in zip(motions, asked, strict=True))
 
 
 def _floor(

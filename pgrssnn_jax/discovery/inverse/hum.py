@@ -13,11 +13,22 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from pgrssnn_jax.discovery.inverse.evidence import Torques, fastest_of, samples_of
 from pgrssnn_jax.discovery.inverse.motion import Motion
+from pgrssnn_jax.discovery.inverse.reading import Reading
 from pgrssnn_jax.discovery.spectrum import Line, has_line, lines_of, power_at
+from pgrssnn_jax.records.record import Record
 
+_WIDER = (1.0, 2.0, 4.0)  # times the chosen cut-off: where it is looked for
 _SHARE = 0.25  # of the power of the torque at the line
 _REPEATS = 0.9  # autocorrelation of speeds, at a lag behind that at which it is half of that
+
+
+def hum_of(model: Torques, reading: Reading, record: Record, theta: Float[np.ndarray, " p"]) -> Line | None:
+    """A line that the chosen cut-off hides stands out at a wider one, whose noise is spread over all frequencies."""
+    motions = [reading._replace(cutoff=reading.cutoff * octave).of(record) for octave in _WIDER]
+    errors = [model.errors(theta, samples_of(motion, fastest_of(motion))) for motion in motions]
+    return hum((motion, error.T.reshape(motion.torque.shape)) for motion, error in zip(motions, errors, strict=True))
 
 
 def hum(errors: Iterable[tuple[Motion, Float[np.ndarray, "seq time n"]]]) -> Line | None:

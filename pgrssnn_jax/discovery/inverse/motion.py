@@ -94,6 +94,10 @@ def thinned(motion: Motion, step: int) -> Motion:
     return Motion(reading, v, a, torque, motion.spacing * step, *motion[5:])
 
 
+def few(motion: Motion, samples: int) -> Motion:
+    return thinned(motion, max(1, motion.v.shape[0] * motion.v.shape[1] // samples))
+
+
 def spectrum_of(y: PerSample, dt: float) -> tuple[float, Float[np.ndarray, " n"]]:
     """The cut-off, Hz, and the floor of the spectra, rad²/Hz. Of whole sequences: parts of them would resolve a slow
     motion the less, the faster it is sampled."""

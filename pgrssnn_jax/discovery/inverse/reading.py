@@ -1,0 +1,76 @@
+"""How a record is read: at which cut-off positions are filtered, and to which moment a torque belongs.
+
+    mean over joints of log Σ e²,   e: torque errors of fast samples, left out of a fit with all effects
+
+The torque is the one that was measured, whatever the motion was filtered by, so that cut-offs can be compared. Read at
+a wrong moment, speeds miss what the acceleration times half a sample is, and more motor inertia makes good for the
+friction of these.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.discovery.inverse.evidence import fastest_of, samples_of
+from pgrssnn_jax.discovery.inverse.motion import Motion, few, filters, motion_of
+from pgrssnn_jax.discovery.inverse.select import Active, Search, with_everything
+from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Tried
+from pgrssnn_jax.records.record import Record
+
+FAST = 0.2  # of a joint's highest speed
+COARSE, _FINE = 500, 2000  # samples of each joint: enough to compare cut-offs, and structures; for the moment
+_SHIFTS = (0.0, 0.5, 1.0)  # samples between a torque and the motion that belongs to it
+_OCTAVES = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0)  # of cut-offs above that of the spectrum
+_IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
+
+
+class Reading(NamedTuple):
+    """How records are read: sample time, s; cut-off, Hz; samples between a torque and the motion that belongs to it;
+    samples left out at the ends."""
+
+    dt: float
+    cutoff: float
+    shift: float
+    at_rest: bool
+    edge: int
+
+    def of(self, record: Record) -> Motion:
+        return motion_of(record, self.dt, at_rest=self.at_rest, shift=self.shift, cutoff=self.cutoff, edge=self.edge)
+
+    @property
+    def words(self) -> str:
+        return f"positions low-pass filtered at {self.cutoff:.2g} Hz" if self.cutoff < 1.0 / self.dt else "no filter"
+
+
+def best_reading(search: Search, best: Tried, record: Record, motion: Motion, *, at_rest: bool) -> Reading:
+    """A gain is left out of the effects, because it imitates a shift. Slow samples have no part in the fits: where a
+    joint turns round, a controller's torque is late by itself, and few samples whose friction has the wrong sign would
+    decide on the shift."""
+    fastest, dt = fastest_of(motion), motion.spacing
+    theta, active = _begun(search, best)
+
+    def missed(reading: Reading, count: int) -> float:
+        samples = samples_of(few(reading.of(record), count), fastest)
+        fast = np.abs(samples.v) > FAST * fastest[:, None]
+        seen = search._replace(samples=samples._replace(moving=fast, counted=fast))
+        joints = zip(seen.linear(theta, active).left_out, fast, strict=True)
+        return float(np.mean([np.log(np.mean(error[among] ** 2)) for error, among in joints]))
+
+    unfiltered = 1.0 / dt
+    first = motion.cutoff or unfiltered
+    cutoffs = {cutoff if filters(cutoff, dt) else unfiltered for cutoff in (first * 2.0**k for k in _OCTAVES)}
+    edge = record.u.shape[1] - motion.v.shape[1]
+    edge = edge if at_rest else edge // 2
+    readings = [Reading(dt, cutoff, shift, at_rest, edge) for cutoff in sorted(cutoffs) for shift in _SHIFTS]
+    found = min(readings, key=lambda one: missed(one, COARSE))
+    return min((found._replace(shift=shift) for shift in _SHIFTS), key=lambda one: missed(one, _FINE))
+
+
+def _begun(search: Search, best: Tried) -> tuple[Float[np.ndarray, " p"], Active]:
+    """All effects but those that imitate a shift, and angles near those of the best structure."""
+    problem, begun = search.problem, with_everything(search, best, _IMITATE)
+    theta, angles = begun.fit.theta.copy(), {e.name: problem.of(e.name) for e in problem.effects if e.name in STRUCTURE}
+    for places in angles.values():
+        theta[places] = best.fit.theta[places]
+    return theta, {**begun.active, **angles}
