@@ -1,10 +1,10 @@
 """How a record is read: at which cut-off positions are filtered, and to which moment a torque belongs.
 
-    mean over joints of log Σ e²,   e: torque errors of fast samples, left out of a fit with all effects
+    score = mean over joints of log mean e²,   e: torque errors of fast samples, left out of a fit with all effects
 
-The torque is the one that was measured, whatever the motion was filtered by, so that cut-offs can be compared. Read at
-a wrong moment, speeds miss what the acceleration times half a sample is, and more motor inertia makes good for the
-friction of these.
+Torques are not filtered, so that this score compares all cut-offs. At a wrong moment every speed is off by the
+acceleration times the delay, and its viscous friction is off in proportion to the acceleration. Extra motor inertia
+then compensates for that friction.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ _IMITATE = ("torque_gain", "stribeck_friction", "wrist_coupling")
 
 class Reading(NamedTuple):
     """How records are read: sample time, s; cut-off, Hz; samples between a torque and the motion that belongs to it;
-    samples left out at the ends."""
+    whether sequences begin at rest with all joints at zero; samples left out at the ends."""
 
     dt: float
     cutoff: float
@@ -44,9 +44,10 @@ class Reading(NamedTuple):
 
 
 def best_reading(search: Search, best: Tried, record: Record, motion: Motion, *, at_rest: bool) -> Reading:
-    """A gain is left out of the effects, because it imitates a shift. Slow samples have no part in the fits: where a
-    joint turns round, a controller's torque is late by itself, and few samples whose friction has the wrong sign would
-    decide on the shift."""
+    """The reading with the lowest score: cut-off and shift together from few samples, then the shift again from more.
+
+    Gains are left out of the effects, because they imitate a shift. Slow samples are left out of the fits: a few of
+    them, in which the friction has the wrong sign, would decide on the shift."""
     fastest, dt = fastest_of(motion), motion.spacing
     theta, active = _begun(search, best)
 
