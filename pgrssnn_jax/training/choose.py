@@ -11,8 +11,9 @@ twentieth of the epochs the best third goes on, and so again, until the best aft
 alone is always among them, and others replace it only if they beat it in a one-sided t test of the members'
 differences. Where the physics remembers more than half of the only record, it is alone, and its parameters are trained
 only if that halves the error: in such a record nothing tells how a model does in a free run. Where nothing is known of
-the start of records, it is always found by least squares. A physics that discovery has fitted to the record is trained
-on with the default settings and networks that start at zero: no part of the record can tell which are better.
+the start of records, it is always found by least squares; where they start at rest it is zero, and a simulation needs
+no measured value. A physics that discovery has fitted to the record is trained on with the default settings and
+networks that start at zero: no part of the record can tell which are better.
 Source of the rounds: Jamieson and Talwalkar, Non-stochastic best arm identification, AISTATS 2016.
 """
 
@@ -28,7 +29,7 @@ import numpy as np
 
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.simulate import has_forward_mode
-from pgrssnn_jax.records.record import Record, continues
+from pgrssnn_jax.records.record import Record, Start, continues
 from pgrssnn_jax.records.splits import is_later
 from pgrssnn_jax.training.blocks import memory
 from pgrssnn_jax.training.candidates import Starts, candidates, describe, is_alone
@@ -48,6 +49,7 @@ _TRYING_FOLDS = 5  # at most, of the members that try candidates
 _BLOCK = 32  # samples
 _LEAD = 20  # one part in so many of a record tells all members where it starts
 _INIT = 4  # and the start of a test record is found from as many samples as one part in so many of the record
+_FOUND: dict[Start, Starts] = {"unknown": "always", "shared": "perhaps", "rest": "never"}  # starts, by least squares
 _PATIENCE = 0.5  # of the epochs: corrections may rest on a plateau before they find their way (`_TANKS` in recipes.py)
 
 
@@ -81,7 +83,8 @@ def choose_settings(
     follows = _of_record(train, validation, settings, usual)
     settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
     if physics.discovered and settings.data.folds:
-        start = "estimated" if physics.differentiable else settings.run.initial_state
+        found = physics.differentiable and train.info.start != "rest"
+        start = "estimated" if found else settings.run.initial_state
         after = {"start_from_physics": True, "initial_state": start}
         settings = changed(settings, {name: value for name, value in after.items() if name not in held})
         notify("recipe=auto: training starts at the physics, because discovery has seen what members would leave out")
@@ -93,7 +96,7 @@ def choose_settings(
         notify("recipe=auto: the physics alone, because it remembers more than half of the only record")
     starts: Starts = "never"
     if settings.data.folds and physics.differentiable and has_forward_mode(physics):
-        starts = "always" if train.info.start == "unknown" else "perhaps"
+        starts = _FOUND[train.info.start]
     among = candidates(settings, physics, held, usual, starts=starts, networks=not short)
     tried = [] if stop.is_set() else race(physics, train, validation, trying, among, stop, notify)
     if stop.is_set():
@@ -122,8 +125,11 @@ def _of_record(
     if n_seq < folds:
         folds = max(2, min(folds, samples // 2))
     block, n_init = max(1, min(_BLOCK, samples // folds)), max(1, min(settings.run.n_init, samples // _INIT))
-    # the start of a sequence that is left out whole is found as that of a test record is
-    lead = n_init if n_seq >= folds and train.info.start == "unknown" else min(n_init, samples // _LEAD)
+    lead = min(n_init, samples // _LEAD)
+    if train.info.start == "rest":
+        lead = 0  # nobody has to find the start, so that some members leave it out as they leave out the rest
+    elif n_seq >= folds and train.info.start == "unknown":
+        lead = n_init  # the start of a sequence that is left out whole is found as that of a test record is
     return {**follows, "folds": folds, "block": block, "lead": lead, "n_init": n_init}
 
 

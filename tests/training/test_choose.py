@@ -91,15 +91,36 @@ def test_what_cannot_be_is_not_tried():
     assert all(one.model.networks and one.fit.physics_parameters == "fixed" for one in black)
 
 
-def level(samples=240, seed=0, noise=0.02, **numbers):
-    """A record of tanks from an unknown start, and the physics that made it."""
+def level(samples=240, seed=0, noise=0.02, start="unknown", **numbers):
+    """A record of tanks that do not start empty, whatever is said of it."""
     rng, plant = np.random.default_rng(seed), cascaded_tanks(**numbers)
     u = np.repeat(rng.uniform(1.5, 3.5, (samples // 12 + 1, 1)), 12, axis=0)[:samples]
     y = pg.simulate(plant, u, np.array([4.0, 5.0])).y
     return pg.record(
         u, y + noise * rng.standard_normal(y.shape),
-        dt=4.0, inputs={"pump_voltage": "V"}, outputs={"level_voltage": "V"},
+        dt=4.0, inputs={"pump_voltage": "V"}, outputs={"level_voltage": "V"}, start=start,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("start", "tried_starts"),
+    [("unknown", {"least_squares"}), ("shared", {"first_output", "least_squares"}), ("rest", {"zero"})],
+)
+def test_what_is_said_of_the_start_is_believed(start, tried_starts, monkeypatch):
+    """Then a simulation from rest needs no start, and the beginning is left out in turn as all other samples are."""
+
+    def race(physics, train, validation, settings, among, stop, notify):
+        return [tried(one, [0.0, 0.0]) for one in among]
+
+    monkeypatch.setattr("pgrssnn_jax.training.choose.race", race)
+    record, settings = level(start=start), training_settings("pg_rssnn", {"n_seeds": 2})
+    chosen = choose_settings(cascaded_tanks(), record, settings, (), stop=threading.Event(), notify=lambda line: None)
+    assert {one.settings.run.initial_state for one in chosen.tried} == tried_starts
+    assert (chosen.settings.data.lead == 0) == (start == "rest")
+    after = choose_settings(
+        cascaded_tanks()._replace(discovered=True), record, settings, (), stop=threading.Event(), notify=print
+    )
+    assert after.settings.run.initial_state == ("zero" if start == "rest" else "estimated")
 
 
 @pytest.mark.slow
