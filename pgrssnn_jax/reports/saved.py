@@ -109,7 +109,11 @@ def _intervals(run: RunFolder, n_u: int, n_y: int) -> Intervals | None:
     arrays = run.read_arrays("intervals.npz")
     if not arrays:
         return None
+    linear = 3 + n_u
+    later = {"mean": (n_y, linear), "covariance": (n_y, linear, linear)}  # earlier runs took the mean error for zero
+    arrays = {**{name: np.zeros(shape) for name, shape in later.items()}, **arrays}
     expected = {"weights": (n_y, 4 + n_u), "y": (4, n_y), "u": (4, n_u), "horizon": (), "quantiles": (n_y, N_LEVELS)}
+    expected |= later
     found = {name: array.shape for name, array in arrays.items()}
     if found != expected:
         raise ValueError(f"{run.path / 'intervals.npz'}: expected arrays of shapes {expected}, found {found}")

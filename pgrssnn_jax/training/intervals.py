@@ -1,14 +1,18 @@
 """Prediction intervals of an ensemble, calibrated on what its members left out of training.
 
-    ŷ_t ± q s_t,      s_t² = d_t² + exp(w · φ_t),      φ_t = [1, horizon, ŷ_t, ŷ_t², u_t]
+    ŷ_t ± q s_t,      s_t² = v_t (1 + (b · ψ_t)² + ψ_t · C ψ_t),      v_t = d_t² + exp(w · φ_t)
+    φ_t = [1, horizon, ŷ_t, ŷ_t², u_t],      ψ_t = [1, horizon, ŷ_t, u_t]
 
-ŷ: mean over members, d: their standard deviation; φ in scaled units and within the range of the calibration; horizon:
-log(1 + t) over that of the longest run. w: largest normal likelihood of the left-out errors, with a normal prior that
-pulls towards a constant variance. q: the conformal quantile of |left-out error| / s, so that the share of left-out
-samples inside is the level asked for, whatever the law of the errors, and a little more where few of them are
-independent.
+ŷ: mean over members, d: their standard deviation; φ, ψ in scaled units, φ within the range of the calibration;
+horizon: log(1 + t) over that of the longest run. w: largest normal likelihood of the left-out errors e, with a normal
+prior that pulls towards a constant variance. b, C: mean and covariance of β in e_t / sqrt(v_t) = β · ψ_t + ε_t, ε of
+unit variance, β of a unit normal prior, from n independent errors. They make the interval grow with the distance from
+what training has seen, the sooner the fewer independent errors there are. q: the conformal quantile of |e| / s, so that
+the share of left-out samples inside is the level asked for, whatever the law of the errors, and a little more where few
+of them are independent.
 Sources: Lei, G'Sell, Rinaldo, Tibshirani, Wasserman, Distribution-free predictive inference for regression, JASA 2018,
-section 5.2; Barber, Candès, Ramdas, Tibshirani, Predictive inference with the jackknife+, Annals of Statistics 2021.
+section 5.2; Barber, Candès, Ramdas, Tibshirani, Predictive inference with the jackknife+, Annals of Statistics 2021;
+Bishop, Pattern recognition and machine learning, 2006, section 3.3.2, for β.
 """
 
 from collections.abc import Sequence
@@ -34,13 +38,15 @@ _TINY = 1e-12  # of the variance of an output: errors of a model that is exact
 class Intervals(NamedTuple):
     """What an interval needs beside the prediction. weights `[y, feature]`: w; y, u: centre, scale, and lowest and
     highest value in training, of outputs and inputs; horizon: samples of the longest run; quantiles `[y, level]`: q at
-    evenly spaced levels."""
+    evenly spaced levels; mean `[y, linear]`, covariance `[y, linear, linear]`: b, C."""
 
     weights: Float[np.ndarray, "y feature"]
     y: Float[np.ndarray, "4 y"]
     u: Float[np.ndarray, "4 u"]
     horizon: np.ndarray
     quantiles: Float[np.ndarray, "y level"]
+    mean: Float[np.ndarray, "y linear"]
+    covariance: Float[np.ndarray, "y linear linear"]
 
     def half_width(
         self,
@@ -53,24 +59,30 @@ class Intervals(NamedTuple):
         if isinstance(level, bool) or not isinstance(level, int | float | np.number) or not 0.0 < level < 1.0:
             raise ValueError(f"interval: expected a level between 0 and 1, for example 0.9, found {shown(level)}")
         found = np.empty(predicted.shape)
-        for k, (weights, quantiles) in enumerate(zip(self.weights, self.quantiles, strict=True)):
-            log_variance = self.features(predicted[..., k], u, k) @ weights
-            scale = np.sqrt((spread[..., k] / self.y[1, k]) ** 2 + np.exp(log_variance))
+        for k, quantiles in enumerate(self.quantiles):
+            scale = self.scale(predicted[..., k], spread[..., k], u, k)
             found[..., k] = np.interp(level, _LEVELS, quantiles) * self.y[1, k] * scale
         return found
 
-    def features(self, predicted: np.ndarray, u: np.ndarray, output: int) -> Float[np.ndarray, "run time feature"]:
-        """φ of one output."""
-        z = _scaled(predicted, self.y[:, output])
-        inputs = _scaled(u, self.u)
-        passed = np.log1p(np.minimum(np.arange(predicted.shape[1]), self.horizon)) / np.log1p(self.horizon)
-        passed = np.broadcast_to(passed, predicted.shape)
-        return np.concatenate([np.stack([np.ones_like(z), passed, z, z**2], -1), inputs], -1)
+    def scale(self, predicted: np.ndarray, spread: np.ndarray, u: np.ndarray, k: int) -> Float[np.ndarray, "run time"]:
+        """s of output k, in its scale."""
+        near, far = self.within(predicted, u, k), self.features(predicted, u, k)
+        variance = (spread / self.y[1, k]) ** 2 + np.exp(near @ self.weights[k])
+        unsure = (far @ self.mean[k]) ** 2 + np.einsum("...i,ij,...j->...", far, self.covariance[k], far)
+        return np.sqrt(variance * (1.0 + unsure))
 
+    def features(self, predicted: np.ndarray, u: np.ndarray, k: int) -> Float[np.ndarray, "run time linear"]:
+        """ψ of output k."""
+        passed = np.log1p(np.arange(predicted.shape[1])) / np.log1p(self.horizon)
+        (centre, scale, *_), inputs = self.y[:, k], (u - self.u[0]) / self.u[1]
+        alike = np.broadcast_arrays(1.0, passed, (predicted - centre) / scale)
+        return np.concatenate([np.stack(alike, -1), inputs], -1)
 
-def _scaled(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    centre, scale, low, high = rows
-    return np.clip((np.clip(values, low, high) - centre) / scale, -_FAR, _FAR)
+    def within(self, predicted: np.ndarray, u: np.ndarray, k: int) -> Float[np.ndarray, "run time feature"]:
+        """φ of output k."""
+        found = self.features(np.clip(predicted, *self.y[2:, k]), np.clip(u, *self.u[2:]), k)
+        passed, rest = np.minimum(found[..., 1:2], 1.0), np.clip(found[..., 2:], -_FAR, _FAR)
+        return np.concatenate([found[..., :1], passed, rest[..., :1], rest[..., :1] ** 2, rest[..., 1:]], -1)
 
 
 def calibrate(found: LeftOut, seen: Sequence[Record], optimism: float = 1.0) -> Intervals | None:
@@ -82,16 +94,21 @@ def calibrate(found: LeftOut, seen: Sequence[Record], optimism: float = 1.0) -> 
     y = _rows([np.asarray(r.y) for r in seen], [np.asarray(r.mask) for r in seen])
     u = _rows([np.asarray(r.u) for r in seen], [np.ones(r.u.shape, bool) for r in seen])
     horizon = np.array(max(1, int(np.max(np.nonzero(counted)[1]))))
-    begun = Intervals(np.zeros((n_y, 0)), y, u, horizon, np.zeros((n_y, 0)))
-    weights, quantiles = [], []
+    linear = 3 + found.u.shape[-1]
+    zeros = [np.zeros(shape) for shape in ((n_y, linear + 1), (n_y, 0), (n_y, linear), (n_y, linear, linear))]
+    begun = Intervals(zeros[0], y, u, horizon, *zeros[1:])
+    quantiles = []
     for k in range(n_y):
-        measured = found.measured[..., k]
-        features = begun.features(found.predicted[..., k], found.u, k)[measured]
-        spread, error = (a[..., k][measured] / y[1, k] for a in (found.spread, found.error))
-        weights.append(_log_variance(features, spread**2, error**2))
-        scores = np.abs(error) / np.sqrt(spread**2 + np.exp(features @ weights[-1]))
-        quantiles.append(optimism * _quantiles(scores, found.independent[k]))
-    return begun._replace(weights=np.stack(weights), quantiles=np.stack(quantiles))
+        measured, runs = found.measured[..., k], (found.predicted[..., k], found.spread[..., k], found.u, k)
+        near, far = (features(runs[0], found.u, k)[measured] for features in (begun.within, begun.features))
+        error, spread = (a[..., k][measured] / y[1, k] for a in (found.error, found.spread))
+        begun.weights[k] = _log_variance(near, spread**2, error**2)
+        share = found.independent[k] / len(error)
+        standardised = error / begun.scale(*runs)[measured]
+        begun.covariance[k] = np.linalg.inv(np.eye(linear) + share * far.T @ far)
+        begun.mean[k] = begun.covariance[k] @ (share * far.T @ standardised)
+        quantiles.append(optimism * _quantiles(np.abs(error) / begun.scale(*runs)[measured], found.independent[k]))
+    return begun._replace(quantiles=np.stack(quantiles))
 
 
 def _rows(values: Sequence[np.ndarray], counted: Sequence[np.ndarray]) -> Float[np.ndarray, "4 c"]:

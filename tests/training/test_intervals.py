@@ -81,12 +81,44 @@ def test_few_independent_errors_widen_the_interval():
     assert widths[1] > 1.1 * widths[0]
 
 
-def test_outside_the_range_of_training_the_interval_is_that_of_its_edge():
-    found, record = drawn(1, size=lambda y: np.exp(y) / 10)
-    intervals = calibrate(found, [record])
-    edge, beyond = (np.full((1, 1, 1), value) for value in (record.y.max(), 1e6))
-    zero = np.zeros((1, 1, 1))
-    assert intervals.half_width(beyond, zero, zero, 0.9) == pytest.approx(intervals.half_width(edge, zero, zero, 0.9))
+def without_mean(intervals):
+    """As if the mean error were zero for sure."""
+    return intervals._replace(mean=0 * intervals.mean, covariance=0 * intervals.covariance)
+
+
+def test_outside_the_range_of_training_the_interval_grows_with_the_distance():
+    """More so the fewer errors say what their mean is; inside a long record they say enough."""
+    far = np.array([1e3, 2e3])[None, :, None]
+    zero, widths = np.zeros(far.shape), []
+    for samples in (100, 3000):
+        found, record = drawn(1, samples=samples)
+        intervals = calibrate(found, [record])
+        known = without_mean(intervals)
+        half, of_known = (one.half_width(far, zero, zero, 0.9)[0, :, 0] for one in (intervals, known))
+        assert half[1] / half[0] == pytest.approx(2.0, rel=0.01)
+        np.testing.assert_allclose(of_known[1], of_known[0], rtol=0.01)  # the second is a sample later
+        widths.append(half[0])
+    assert widths[0] > 2 * widths[1]
+    inside_range, of_known = (one.half_width(*found[:2], found.u, 0.9) for one in (intervals, known))
+    np.testing.assert_allclose(inside_range, of_known, rtol=0.03)
+
+
+def test_a_mean_error_that_few_samples_cannot_tell_is_covered():
+    """Errors whose mean changes with the output, calibrated near zero and met far from it."""
+    rng, shares = np.random.default_rng(3), []
+    for _ in range(100):
+        slope = rng.standard_normal()  # of the error's deviation per deviation of the output
+        near, far = rng.standard_normal((1, 40, 1)), rng.uniform(3.0, 6.0, (1, 200, 1))
+        errors = [slope * y + rng.standard_normal(y.shape) for y in (near, far)]
+        u = np.zeros(near.shape)
+        found = LeftOut(near, u, errors[0], u, np.ones(near.shape, bool))
+        intervals = calibrate(found, [Record(u, near, found.measured, INFO)])
+        known, zero = without_mean(intervals), np.zeros(far.shape)
+        half = [one.half_width(far, zero, zero, 0.9) for one in (intervals, known)]
+        shares.append([np.mean(np.abs(errors[1]) < one) for one in half])
+    covered, without = np.mean(shares, axis=0)
+    assert 0.85 < covered < 0.98
+    assert without < 0.75
 
 
 def test_without_left_out_samples_there_is_no_interval():
