@@ -97,33 +97,32 @@ def _levenberg_marquardt(residual: Callable[[jax.Array], jax.Array], start: jax.
     Our own, because it runs inside `shard_map` over members, which the solvers of optimistix refuse.
     """
 
-    jacobian = _jacobian(residual, start)
+    with_slope = _jacobian(residual, start)
 
-    def body(
-        _: jax.Array | int, carry: tuple[jax.Array, jax.Array, jax.Array]
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
-        z, cost, damping = carry
-        r, slope = residual(z), jacobian(residual)(z)
+    def body(_: jax.Array | int, carry: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        z, damping = carry
+        slope, r = with_slope(z)
         normal = slope.T @ slope
         step = jnp.linalg.solve(normal + damping * jnp.eye(len(z), dtype=z.dtype), slope.T @ r)
         tried = z - step
-        tried_cost = jnp.sum(residual(tried) ** 2)
-        better = tried_cost < cost  # False for a cost that is not finite
-        return (
-            jnp.where(better, tried, z),
-            jnp.where(better, tried_cost, cost),
-            jnp.where(better, damping / 5.0, damping * 5.0),
-        )
+        better = jnp.sum(residual(tried) ** 2) < jnp.sum(r**2)  # False for a cost that is not finite
+        return jnp.where(better, tried, z), jnp.where(better, damping / 5.0, damping * 5.0)
 
-    first = (start, jnp.sum(residual(start) ** 2), jnp.asarray(1e-2, start.dtype))
-    return jax.lax.fori_loop(0, _STEPS, body, first)[0]
+    return jax.lax.fori_loop(0, _STEPS, body, (start, jnp.asarray(1e-2, start.dtype)))[0]
 
 
-def _jacobian(residual: Callable[[jax.Array], jax.Array], at: jax.Array) -> Callable[..., Callable[..., jax.Array]]:
-    """Forward mode is the cheaper one for a handful of unknowns, but a physics with a derivative rule of its own (the
-    arm) has reverse mode alone."""
+def _jacobian(
+    residual: Callable[[jax.Array], jax.Array], at: jax.Array
+) -> Callable[[jax.Array], tuple[jax.Array, jax.Array]]:
+    """z → dr/dz, r(z), in one run. Forward mode is the cheaper one for a handful of unknowns, but a physics with a
+    derivative rule of its own (the arm) has reverse mode alone."""
+
+    def twice(z: jax.Array) -> tuple[jax.Array, jax.Array]:
+        r = residual(z)
+        return r, r
+
     try:
         jax.eval_shape(jax.jacfwd(residual), at)
     except TypeError:
-        return jax.jacrev
-    return jax.jacfwd
+        return jax.jacrev(twice, has_aux=True)
+    return jax.jacfwd(twice, has_aux=True)

@@ -33,7 +33,7 @@ from pgrssnn_jax.records.record import Record, Start, continues
 from pgrssnn_jax.records.splits import is_later
 from pgrssnn_jax.training.blocks import memory
 from pgrssnn_jax.training.candidates import Starts, candidates, describe, is_alone
-from pgrssnn_jax.training.members import jit_members
+from pgrssnn_jax.training.members import for_one_run, jit_members
 from pgrssnn_jax.training.objective import MemberData
 from pgrssnn_jax.training.optimise import MemberState
 from pgrssnn_jax.training.plan import Plan
@@ -183,6 +183,6 @@ def settled(
         return state._replace(best=best, best_loss=jnp.where(back, loss, state.best_loss)), back
 
     if plan.settings.model.guided and jax.tree.leaves(state.theta):
-        state, back = jit_members(one, plan.mapping)(state, plan.data)
+        state, back = jit_members(one, for_one_run(plan.mapping))(state, plan.data)
     fell_back = [m._asdict() for m, b in zip(plan.members, np.asarray(back), strict=True) if b]
     return state, {**recipe, "fell_back": fell_back}

@@ -6,7 +6,7 @@ says it once, in `conf/members/`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -40,6 +40,11 @@ def jit_members(one: Callable[..., Any], mapping: MemberMapping, *, donated: int
     given = () if donated is None else (donated,)
     mapped = map_members(one, mapping)
     return jax.jit(mapped, compiler_options=optimised(mapping.optimisation), donate_argnums=given)
+
+
+def for_one_run(mapping: MemberMapping) -> MemberMapping:
+    """The mapping of a program that runs once: it compiles longer than it runs, so with little optimisation."""
+    return replace(mapping, optimisation=0) if mapping.optimisation is None else mapping
 
 
 def map_members(one: Callable[..., Any], mapping: MemberMapping) -> Callable[..., Any]:
