@@ -15,7 +15,7 @@ SMOKE = {"epochs": 10, "chunk_epochs": 10, "optimisation": 0, "quiet": True}
     ("name", "run"),
     [
         pytest.param("physics_only", called, id="physics_only"),
-        pytest.param("pg_rssnn", command, id="pg_rssnn", marks=pytest.mark.slow),
+        pytest.param("pg_rssnn", command, id="pg_rssnn", marks=pytest.mark.compiles),
     ],
 )
 def test_the_api_gives_the_numbers_of_the_command(name, run, tmp_path):
@@ -31,7 +31,7 @@ def test_the_api_gives_the_numbers_of_the_command(name, run, tmp_path):
         np.testing.assert_array_equal(found.arrays["y_hat"], arrays["y_hat"])
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_the_api_chooses_the_settings_of_the_command(tmp_path):
     arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", "recipe=auto", "data.n_train=200"]
     code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
@@ -44,7 +44,7 @@ def test_the_api_chooses_the_settings_of_the_command(tmp_path):
     assert [m["test"] for m in found.metrics["members"]] == [m["test"] for m in expected["members"]]
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("name", "build", "more"),
     [
@@ -68,7 +68,7 @@ def test_the_api_gives_the_numbers_of_the_command_on_every_benchmark(name, build
         np.testing.assert_array_equal(found.arrays["y_hat"], arrays["y_hat"])
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_discover_gives_the_numbers_of_the_command(tmp_path):
     cheap = {"steps": 4, "draws": 99, "starts": 1, "most": 1, "p_value": 0.02, "network_epochs": 2}
     arguments = [f"discovery.{name}={value}" for name, value in cheap.items()]

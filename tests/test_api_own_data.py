@@ -86,7 +86,7 @@ def check(ensemble, test, worst):
     assert any(one["settings"].startswith("the physics alone") for one in found["recipe"]["tried"])
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_many_short_records_of_unequal_length_with_missing_samples():
     lengths = range(28, 40, 2)
     parts = [driven(heater(), [25.0 + k], n, k, 0.05, 6.0, 0.2) for k, n in enumerate(lengths)]
@@ -97,7 +97,7 @@ def test_many_short_records_of_unequal_length_with_missing_samples():
     check(ensemble, recorded(heater(), u, y), worst=0.8)
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_several_inputs_and_outputs_and_a_state_that_is_not_measured():
     u, y = driven(room(), [18.0, 21.0, 19.0], 300, 1, 0.05, 40.0, 0.3)
     ensemble = pg.fit("pg_rssnn", room(wall=0.06), recorded(room(), u, y), **FEW)
@@ -107,7 +107,7 @@ def test_several_inputs_and_outputs_and_a_state_that_is_not_measured():
     assert ensemble.simulate(again.u, np.array([20.0, 17.0, 22.0]), interval=0.9).low.shape == (1, 200, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_one_record_of_an_own_physics_that_lacks_something():
     u, y = driven(pendulum(damping=1.6), [0.3, 0.0], 400, 3, 0.005, 3.0)
     ensemble = pg.fit("pg_rssnn", pendulum(), recorded(pendulum(), u, y), **{**FEW, "epochs": 200})

@@ -67,7 +67,7 @@ def test_stretches_are_no_longer_than_the_record(crane):
     assert _stretches("auto", problem.physics, short) == [SAMPLES, 60, SAMPLES]
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 @pytest.mark.parametrize(
     ("name", "effects", "numbers"),
     [
@@ -87,14 +87,14 @@ def test_a_hidden_effect_is_named_with_its_numbers_on_every_joint(crane, name, e
     assert found.test.after.error < 0.5 * found.test.before.error
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_nothing_is_named_where_nothing_is_hidden(crane):
     """Of few draws of the null one effect may look certain; the test record refutes it."""
     found = found_in(crane, *motions(crane[0], NEUTRAL))
     assert found.judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.NOT_CONFIRMED)
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_what_the_catalogue_lacks_is_unknown(crane):
     data = motions(crane[0], NEUTRAL._replace(home=np.array([0.08, -0.05])))
     found = found_in(crane, *data, without=["home_offset", "sensor_offset"])

@@ -123,7 +123,7 @@ def test_what_is_said_of_the_start_is_believed(start, tried_starts, monkeypatch)
     assert after.settings.run.initial_state == ("zero" if start == "rest" else "estimated")
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_a_right_physics_stays_alone_and_says_so():
     record = level()
     said = []
@@ -140,7 +140,7 @@ def test_a_right_physics_stays_alone_and_says_so():
     assert "the physics alone" in said[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_a_bent_physics_is_corrected_and_its_members_predict_what_the_plant_does():
     record, later = level(480, k1=0.055, k4=0.05), level(480, seed=1, k1=0.055, k4=0.05)
     ensemble = pg.fit("pg_rssnn", cascaded_tanks(), record, seeds=5, epochs=400, quiet=True)
@@ -154,7 +154,7 @@ def test_a_bent_physics_is_corrected_and_its_members_predict_what_the_plant_does
     assert coverage > 0.75
 
 
-@pytest.mark.slow
+@pytest.mark.compiles
 def test_a_member_that_does_not_beat_the_physics_is_the_physics():
     """Networks whose step is absurd spoil what they begin with, and go back."""
     record = level(120)
