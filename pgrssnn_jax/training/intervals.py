@@ -104,7 +104,7 @@ def calibrate(found: LeftOut, seen: Sequence[Record], optimism: float = 1.0) -> 
         error, spread = (a[..., k][measured] / y[1, k] for a in (found.error, found.spread))
         begun.weights[k] = _log_variance(near, spread**2, error**2)
         share = found.independent[k] / len(error)
-        standardised = error / begun.scale(*runs)[measured]
+        standardised = error / begun.scale(*runs)[measured]  # by sqrt(v): b and C are still zero
         begun.covariance[k] = np.linalg.inv(np.eye(linear) + share * far.T @ far)
         begun.mean[k] = begun.covariance[k] @ (share * far.T @ standardised)
         quantiles.append(optimism * _quantiles(np.abs(error) / begun.scale(*runs)[measured], found.independent[k]))
