@@ -1,7 +1,7 @@
 """`recipe=auto` on generated data: is PG-RSSNN ever worse than its physics, or than a black box of its size?
 
     python benchmarks/recipes.py --cases 60 --seed 900
-    python benchmarks/recipes.py --cases 48 --seed 1700 --intervals    # without the rivals, in half of the time
+    python benchmarks/recipes.py --cases 48 --seed 1700 --intervals    # without the rivals
 
 Case k takes, in turn, a system, a number of samples, a physics and a noise. Physics: `right` has the plant's numbers,
 `bent` numbers that are off, `wrong` lacks an effect besides. Figures: RMSE on the test record of the case, mean over
@@ -11,7 +11,6 @@ members; the physics alone starts its records in the same way. Nothing is chosen
 import argparse
 import json
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +43,7 @@ def main() -> None:
     arguments = parser.parse_args()
     use_all_cores()
     keep_compiled()
-    rows, rivals = [], () if arguments.intervals else RIVALS
+    rows, rivals = [], not arguments.intervals
     kinds = [(s, n, p) for n in SAMPLES for p in PHYSICS for s in SYSTEMS]
     for k in range(arguments.cases):
         system, samples, kind = kinds[(k * 7) % len(kinds)]
@@ -54,7 +53,7 @@ def main() -> None:
         print(" ".join(f"{name}={_short(value)}" for name, value in rows[-1].items()), flush=True)
         if arguments.out:
             arguments.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    for rival in rivals:
+    for rival in RIVALS if rivals else ():
         worse = sum(row["ours"] > TOLERANCE * row[rival] for row in rows)
         better = sum(TOLERANCE * row["ours"] < row[rival] for row in rows)
         print(f"against {rival}: worse {worse}, better {better} of {len(rows)} by more than 2 %")
@@ -72,7 +71,7 @@ def _row(
     seed: int,
     rng: np.random.Generator,
     model: str,
-    rivals: Sequence[str],
+    rivals: bool,
 ) -> dict[str, Any]:
     catalogue = suite.catalogue(system)
     names = [name for name in catalogue.named if name not in catalogue.recalibrated]

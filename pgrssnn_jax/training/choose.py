@@ -82,9 +82,9 @@ def choose_settings(
     usual = recipe_for(train.info.benchmark).split(discovered=physics.discovered)[1]
     follows = _of_record(train, validation, settings, usual)
     settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
+    starts = _FOUND[train.info.start] if physics.differentiable else "never"
     if physics.discovered and settings.data.folds:
-        found = physics.differentiable and train.info.start != "rest"
-        start = "estimated" if found else settings.run.initial_state
+        start = settings.run.initial_state if starts == "never" else "estimated"
         after = {"start_from_physics": True, "initial_state": start}
         settings = changed(settings, {name: value for name, value in after.items() if name not in held})
         notify("recipe=auto: training starts at the physics, because discovery has seen what members would leave out")
@@ -94,9 +94,8 @@ def choose_settings(
         trying, short = _with_long_blocks(settings, physics, train, validation)
     if short:
         notify("recipe=auto: the physics alone, because it remembers more than half of the only record")
-    starts: Starts = "never"
-    if settings.data.folds and physics.differentiable and has_forward_mode(physics):
-        starts = _FOUND[train.info.start]
+    if not (settings.data.folds and has_forward_mode(physics)):
+        starts = "never"
     among = candidates(settings, physics, held, usual, starts=starts, networks=not short)
     tried = [] if stop.is_set() else race(physics, train, validation, trying, among, stop, notify)
     if stop.is_set():

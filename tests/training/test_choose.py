@@ -92,7 +92,7 @@ def test_what_cannot_be_is_not_tried():
 
 
 def level(samples=240, seed=0, noise=0.02, start="unknown", **numbers):
-    """A record of tanks that do not start empty, whatever is said of it."""
+    """A record of tanks whose levels begin at 4 and 5; start: the label of the record, which may be wrong."""
     rng, plant = np.random.default_rng(seed), cascaded_tanks(**numbers)
     u = np.repeat(rng.uniform(1.5, 3.5, (samples // 12 + 1, 1)), 12, axis=0)[:samples]
     y = pg.simulate(plant, u, np.array([4.0, 5.0])).y
@@ -106,8 +106,8 @@ def level(samples=240, seed=0, noise=0.02, start="unknown", **numbers):
     ("start", "tried_starts"),
     [("unknown", {"least_squares"}), ("shared", {"first_output", "least_squares"}), ("rest", {"zero"})],
 )
-def test_what_is_said_of_the_start_is_believed(start, tried_starts, monkeypatch):
-    """Then a simulation from rest needs no start, and the beginning is left out in turn as all other samples are."""
+def test_the_label_of_the_start_decides_which_initial_states_are_tried(start, tried_starts, monkeypatch):
+    """From rest the initial state is known: it is not searched, and members leave out the first samples in turn too."""
 
     def race(physics, train, validation, settings, among, stop, notify):
         return [tried(one, [0.0, 0.0]) for one in among]

@@ -82,7 +82,7 @@ def test_few_independent_errors_widen_the_interval():
 
 
 def without_mean(intervals):
-    """As if the mean error were zero for sure."""
+    """The intervals of errors whose mean is known to be zero."""
     return intervals._replace(mean=0 * intervals.mean, covariance=0 * intervals.covariance)
 
 
