@@ -8,7 +8,7 @@ torque within its reach. Where the noise hides which of both it does, and which 
 for certain count: friction of an unknown sign would look like less friction at low speed.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -91,33 +91,37 @@ class Torques:
     problem: Problem
     moves: Int[np.ndarray, " m"]
     scales: Int[np.ndarray, " s"]
-    _errors: Callable[..., jax.Array]
-    _heavy: Callable[..., jax.Array]
-    _light: Callable[..., jax.Array]
+    _linearised: Callable[..., Sequence[jax.Array]]
 
     def errors(self, theta: np.ndarray, samples: Samples) -> Errors:
-        return _in_pieces(partial(self._errors, jnp.asarray(theta)), samples)
+        return self.linearised(theta, samples, np.array([], int))[0]
 
-    def derivatives(
+    def linearised(
         self, theta: np.ndarray, samples: Samples, places: Int[np.ndarray, " k"]
-    ) -> Float[np.ndarray, "k n batch"]:
+    ) -> tuple[Errors, Float[np.ndarray, "k n batch"]]:
+        """Errors and their derivatives."""
         heavy = np.isin(places, self.moves)
-        found = np.empty((len(places), *samples.torque.shape))
-        for function, kind in ((self._heavy, heavy), (self._light, ~heavy)):
-            along = np.eye(len(theta))[np.resize(places[kind], -(-kind.sum() // _AT_ONCE) * _AT_ONCE)]
-            few = along.reshape(-1, _AT_ONCE, len(theta))
-            parts = [_in_pieces(partial(function, jnp.asarray(theta), one), samples) for one in few]
-            if parts:
-                found[kind] = np.concatenate(parts)[: kind.sum()]
-        return found
+        moving, still = (_directions(places[kind], len(theta)) for kind in (heavy, ~heavy))
+        found = _in_pieces(partial(self._linearised, moving, still, jnp.asarray(theta)), samples)
+        derivatives = np.empty((len(places), *found.shape[1:]))
+        derivatives[heavy] = found[1 : 1 + heavy.sum()]
+        derivatives[~heavy] = found[1 + _AT_ONCE * len(moving) :][: (~heavy).sum()]
+        return found[0], derivatives
 
 
-def _in_pieces(function: Callable[..., jax.Array], samples: Samples) -> Float[np.ndarray, "*_ batch"]:
-    """function: of reading, v, a and torque; a last piece that is not full repeats its last sample."""
+def _directions(places: Int[np.ndarray, " k"], count: int) -> list[jax.Array]:
+    """Unit vectors along numbers of θ, as many in each group as one program takes; the last group repeats some."""
+    along = np.eye(count)[np.resize(places, -(-len(places) // _AT_ONCE) * _AT_ONCE)]
+    return [jnp.asarray(group) for group in along.reshape(-1, _AT_ONCE, count)]
+
+
+def _in_pieces(function: Callable[..., Sequence[jax.Array]], samples: Samples) -> Float[np.ndarray, "row n batch"]:
+    """function: rows `[row, n, piece]` of reading, v, a and torque; a last piece that is not full repeats its last
+    sample."""
     batch = samples.torque.shape[1]
     signals = [np.pad(one, ((0, 0), (0, -batch % _PIECE)), mode="edge") for one in samples[:4]]
     pieces = [function(*(one[:, k : k + _PIECE] for one in signals)) for k in range(0, batch, _PIECE)]
-    return np.concatenate([np.asarray(piece) for piece in pieces], -1)[..., :batch]
+    return np.concatenate([np.concatenate(parts) for parts in pieces], -1)[..., :batch]
 
 
 def torques(problem: Problem) -> Torques:
@@ -132,36 +136,34 @@ def torques(problem: Problem) -> Torques:
         return required_torque(points, problem.code.unravel(theta), dt, *motion)
 
     @jax.jit
-    def residual(theta: jax.Array, needed: jax.Array, reading: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
-        return torque_residual(points, problem.code.unravel(theta), needed, reading, v, u)
-
-    @jax.jit
     def required_along(theta: jax.Array, along: jax.Array, *motion: jax.Array) -> jax.Array:
         return jax.vmap(lambda one: jax.jvp(lambda numbers: required(numbers, *motion), (theta,), (one,))[1])(along)
+
+    @jax.jit
+    def residual(theta: jax.Array, needed: jax.Array, reading: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
+        return torque_residual(points, problem.code.unravel(theta), needed, reading, v, u)[None]
 
     @jax.jit
     def residual_along(
         theta: jax.Array, along: jax.Array, needed: jax.Array, moved: jax.Array, *signals: jax.Array
     ) -> jax.Array:
         def at(numbers: jax.Array, needed: jax.Array) -> jax.Array:
-            return residual(numbers, needed, *signals)
+            return residual(numbers, needed, *signals)[0]
 
         return jax.vmap(lambda *directions: jax.jvp(at, (theta, needed), directions)[1])(along, moved)
 
     # Programs of parts compile in less time than one of all: each part once.
-    def errors(theta: jax.Array, *signals: ArrayLike) -> jax.Array:
+    def linearised(
+        moving: Iterable[jax.Array], still: Iterable[jax.Array], theta: jax.Array, *signals: ArrayLike
+    ) -> list[jax.Array]:
+        """Errors, derivatives along directions that change what a motion requires, and along those that do not."""
         reading, v, a, u = signals
-        return residual(theta, required(theta, reading, v, a), reading, v, u)
-
-    def heavy(theta: jax.Array, along: ArrayLike, *signals: ArrayLike) -> jax.Array:
-        reading, v, a, u = signals
-        needed, moved = required(theta, reading, v, a), required_along(theta, along, reading, v, a)
-        return residual_along(theta, along, needed, moved, reading, v, u)
-
-    def light(theta: jax.Array, along: ArrayLike, *signals: ArrayLike) -> jax.Array:
-        reading, v, a, u = signals
-        needed, still = required(theta, reading, v, a), np.zeros((_AT_ONCE, *np.shape(u)))
-        return residual_along(theta, along, needed, still, reading, v, u)
+        needed = required(theta, reading, v, a)
+        nothing = jnp.zeros((_AT_ONCE, *needed.shape))
+        directions = [(along, required_along(theta, along, reading, v, a)) for along in moving]
+        directions += [(along, nothing) for along in still]
+        by = [residual_along(theta, along, needed, moved, reading, v, u) for along, moved in directions]
+        return [residual(theta, needed, reading, v, u), *by]
 
     def slope(theta: jax.Array) -> jax.Array:
         one = jnp.ones(len(problem.physics.inputs))
@@ -170,7 +172,7 @@ def torques(problem: Problem) -> Torques:
     heavies = [e.name for e in problem.effects if (points_changed(problem.physics, e) or set()) & _HEAVY]
     moves = np.concatenate([[], *map(problem.of, heavies)]).astype(int)
     scales = np.flatnonzero(np.asarray(jax.jit(jax.jacfwd(slope))(jnp.asarray(problem.theta))).any((0, 1)))
-    return Torques(problem, moves, scales, errors, heavy, light)
+    return Torques(problem, moves, scales, linearised)
 
 
 def judged(physics: Physics, effects: Iterable[Effect]) -> tuple[Effect, ...]:

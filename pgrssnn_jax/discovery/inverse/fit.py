@@ -56,9 +56,8 @@ def fitted(
     folds: int,
 ) -> Fit:
     """remembered: κ of every joint."""
-    error = torques.errors(theta, samples)
+    error, derivatives = torques.linearised(theta, samples, places)
     weight = regime_weight(error, samples, remembered)
-    derivatives = torques.derivatives(theta, samples, places)
     for _ in range(_STEPS):
         sums = _sums(error, derivatives, np.sqrt(weight), np.ones(error.shape[1], bool))
         step = _solved(torques.problem, theta, places, *sums)
@@ -76,7 +75,7 @@ def fitted(
         weight = regime_weight(error, samples, remembered)
         if linear or cost - after <= _STILL_FALLS * cost:
             break
-        derivatives = torques.derivatives(theta, samples, places)
+        _, derivatives = torques.linearised(theta, samples, places)
     return linear_fit(torques, samples, theta, places, error, derivatives, weight, folds)
 
 

@@ -81,9 +81,10 @@ class Search(NamedTuple):
     def linear(self, theta: np.ndarray, active: Active, derivatives: np.ndarray | None = None) -> Fit:
         """One step from θ; derivatives: where they are known."""
         places, samples = self.places(active), self.samples
-        error = self.torques.errors(theta, samples)
         if derivatives is None:
-            derivatives = self.torques.derivatives(theta, samples, places)
+            error, derivatives = self.torques.linearised(theta, samples, places)
+        else:
+            error = self.torques.errors(theta, samples)
         rough = regime_weight(error, samples, self.kappa)
         fit = linear_fit(self.torques, samples, theta, places, error, derivatives, rough, self.folds)
         weight = regime_weight(fit.error, samples, self.kappa)
@@ -230,7 +231,7 @@ def _derivatives(search: Search, now: Model, theta: np.ndarray, active: Active) 
     new = ~np.isin(places, now.fit.places)
     known = dict(zip(now.fit.places.tolist(), now.fit.derivatives, strict=True))
     found = np.empty((len(places), *now.fit.error.shape))
-    found[new] = search.torques.derivatives(theta, search.samples, places[new])
+    found[new] = search.torques.linearised(theta, search.samples, places[new])[1]
     for row in np.flatnonzero(~new):
         found[row] = known[int(places[row])]
     return found
@@ -290,7 +291,7 @@ def _acting_alone(search: Search, now: Model, name: str) -> Int[np.ndarray, " _"
     """Numbers of an effect that change a torque while its others are neutral: parts of a sum, not of a product."""
     problem, places = search.problem, now.active[name]
     theta = problem.put(now.fit.theta, name, problem.effect(name).neutral())
-    return places[np.abs(search.torques.derivatives(theta, search.samples, places)).any((1, 2))]
+    return places[np.abs(search.torques.linearised(theta, search.samples, places)[1]).any((1, 2))]
 
 
 def _one_less(problem: Problem, now: Model, name: str, place: int) -> tuple[np.ndarray, Active, np.ndarray]:

@@ -76,7 +76,7 @@ def best_structures(
         for name, numbers in structure.numbers().items():
             at = problem.put(at, name, numbers)
         inside = replace(torques, problem=_either_way(near(problem, structure)))
-        error, derivatives = torques.errors(at, samples), torques.derivatives(at, samples, places)
+        error, derivatives = torques.linearised(at, samples, places)
         weight = regime_weight(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
         rough = linear_fit(inside, samples, at, places, error, derivatives, weight, folds)
         weight = regime_weight(rough.error, samples, kappa)

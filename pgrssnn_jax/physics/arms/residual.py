@@ -39,12 +39,15 @@ def torque_residual(points: ArmPoints, p: Any, required: Batch, reading: Batch, 
     drive = jax.vmap(points.drive, (None, 1), 1)(p, u)
     torque = partial(jax.vmap(points.torque, (None, 1, 1, 1), 1), p, q, v)
 
-    def step(needed: Batch) -> Batch:
+    def step(needed: Batch) -> tuple[Batch, Batch]:
         given, passed_on = jax.jvp(torque, (needed,), (jnp.ones_like(drive),))
-        return needed - (given - required) / passed_on
+        return needed - (given - required) / passed_on, passed_on
 
     # The first step finds the side of zero: that of the measured torque would tell what is to be predicted.
-    return jnp.linalg.solve(drive_slope(points, p, u[:, 0]), drive - step(step(drive)))
+    needed, passed_on = jax.lax.stop_gradient(step(step(drive)[0]))
+    # Where torque = required, one more step changes no value and carries the derivative of the solution.
+    needed -= (torque(needed) - required) / passed_on
+    return jnp.linalg.inv(drive_slope(points, p, u[:, 0])) @ (drive - needed)
 
 
 def drive_slope(points: ArmPoints, p: Any, u: Float[jax.Array, " n"]) -> Float[jax.Array, "n n"]:
