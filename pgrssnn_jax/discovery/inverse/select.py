@@ -81,10 +81,8 @@ class Search(NamedTuple):
     def linear(self, theta: np.ndarray, active: Active, derivatives: np.ndarray | None = None) -> Fit:
         """One step from θ; derivatives: where they are known."""
         places, samples = self.places(active), self.samples
-        if derivatives is None:
-            error, derivatives = self.torques.linearised(theta, samples, places)
-        else:
-            error = self.torques.errors(theta, samples)
+        error, found = self.torques.linearised(theta, samples, places if derivatives is None else places[:0])
+        derivatives = found if derivatives is None else derivatives
         rough = regime_weight(error, samples, self.kappa)
         fit = linear_fit(self.torques, samples, theta, places, error, derivatives, rough, self.folds)
         weight = regime_weight(fit.error, samples, self.kappa)
