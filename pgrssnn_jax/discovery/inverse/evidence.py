@@ -11,7 +11,7 @@ for certain count: friction of an unknown sign would look like less friction at 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,19 +19,26 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
+from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.arm_common import STANDSTILL
 from pgrssnn_jax.effects.base import Effect, points_changed
-from pgrssnn_jax.physics.arms.points import ArmPoints
-from pgrssnn_jax.physics.arms.residual import required_torque, torque_residual, torque_slope
+from pgrssnn_jax.physics.arms.points import ArmPoints, along
+from pgrssnn_jax.physics.arms.residual import (
+    inverse_inputs,
+    required_slopes,
+    required_torque,
+    torque_residual,
+    torque_slope,
+)
 from pgrssnn_jax.physics.base import Physics, extension_of
 
 _STILL = 0.02  # of a joint's highest speed (99 % of the samples are below): slower, it stands still
 SMOOTHED = 3 * STANDSTILL  # rad/s: from here on the smoothed dry friction of an effect is 99.5 % of its own
 _CERTAIN = 3.0  # standard deviations of a speed whose sign is known
 _LEAST_BLOCKS = 24
-_AT_ONCE = 20  # derivatives that one program computes: one program for all
+_AT_ONCE = 32  # derivatives that one program computes: one program for all
 _PIECE = 128  # samples of one, compiled once: its arrays stay in a small cache (half the time that 1024 take)
 _JUDGED = frozenset(("drive", "torque", "position", "masses", "disturbance"))  # points that a torque depends on
 _HEAVY = frozenset(("masses", "position", "disturbance"))  # those that the inverse dynamics depend on
@@ -130,40 +137,51 @@ def torques(problem: Problem) -> Torques:
     assert known is not None
     points: ArmPoints = known.points
     dt = problem.physics.dt
+    nothing = jnp.zeros((_AT_ONCE, points.tables.n, _PIECE))
 
-    @jax.jit
+    @quick_jit()
     def required(theta: jax.Array, *motion: jax.Array) -> jax.Array:
         return required_torque(points, problem.code.unravel(theta), dt, *motion)
 
-    @jax.jit
-    def required_along(theta: jax.Array, along: jax.Array, *motion: jax.Array) -> jax.Array:
-        return jax.vmap(lambda one: jax.jvp(lambda numbers: required(numbers, *motion), (theta,), (one,))[1])(along)
+    @quick_jit()
+    def slopes(theta: jax.Array, *motion: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return required_slopes(points, problem.code.unravel(theta), dt, *motion)
 
-    @jax.jit
-    def residual(theta: jax.Array, needed: jax.Array, reading: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
-        return torque_residual(points, problem.code.unravel(theta), needed, reading, v, u)[None]
+    @quick_jit()
+    def required_along(theta: jax.Array, matrix: jax.Array, directions: jax.Array, *motion: jax.Array) -> jax.Array:
+        def inputs(numbers: jax.Array) -> tuple[Any, ...]:
+            return inverse_inputs(points, problem.code.unravel(numbers), dt, *motion)
 
-    @jax.jit
+        return jax.vmap(lambda one: along(matrix, *jax.jvp(inputs, (theta,), (one,))[1]))(directions)
+
+    def error(theta: jax.Array, needed: jax.Array, *signals: jax.Array) -> jax.Array:
+        return torque_residual(points, problem.code.unravel(theta), needed, *signals)
+
+    @quick_jit()
+    def residual(theta: jax.Array, needed: jax.Array, *signals: jax.Array) -> jax.Array:
+        return error(theta, needed, *signals)[None]
+
+    @quick_jit()
     def residual_along(
-        theta: jax.Array, along: jax.Array, needed: jax.Array, moved: jax.Array, *signals: jax.Array
+        theta: jax.Array, directions: jax.Array, needed: jax.Array, moved: jax.Array, *signals: jax.Array
     ) -> jax.Array:
         def at(numbers: jax.Array, needed: jax.Array) -> jax.Array:
-            return residual(numbers, needed, *signals)[0]
+            return error(numbers, needed, *signals)
 
-        return jax.vmap(lambda *directions: jax.jvp(at, (theta, needed), directions)[1])(along, moved)
+        return jax.vmap(lambda *one: jax.jvp(at, (theta, needed), one)[1])(directions, moved)
 
     # Programs of parts compile in less time than one of all: each part once.
     def linearised(
-        moving: Iterable[jax.Array], still: Iterable[jax.Array], theta: jax.Array, *signals: ArrayLike
+        moving: Sequence[jax.Array], still: Sequence[jax.Array], theta: jax.Array, *signals: ArrayLike
     ) -> list[jax.Array]:
         """Errors, derivatives along directions that change what a motion requires, and along those that do not."""
         reading, v, a, u = signals
-        needed = required(theta, reading, v, a)
-        nothing = jnp.zeros((_AT_ONCE, *needed.shape))
-        directions = [(along, required_along(theta, along, reading, v, a)) for along in moving]
-        directions += [(along, nothing) for along in still]
-        by = [residual_along(theta, along, needed, moved, reading, v, u) for along, moved in directions]
-        return [residual(theta, needed, reading, v, u), *by]
+        motion, found = (reading, v, a), (reading, v, u)
+        needed, matrix = slopes(theta, *motion) if moving else (required(theta, *motion), None)
+        changes = [(group, required_along(theta, matrix, group, *motion)) for group in moving]
+        changes += [(group, nothing) for group in still]
+        by = [residual_along(theta, group, needed, moved, *found) for group, moved in changes]
+        return [residual(theta, needed, *found), *by]
 
     def slope(theta: jax.Array) -> jax.Array:
         one = jnp.ones(len(problem.physics.inputs))

@@ -23,6 +23,18 @@ _STILL_FALLS = 1e-4  # part of the cost: less is no progress, and what is not li
 _LEAST = 1e-9  # of the largest σ
 
 
+class Tangent(NamedTuple):
+    """Error `[n, batch]` at θ, and its derivatives `[k, n, batch]` by the numbers at `places`."""
+
+    theta: Float[np.ndarray, " p"]
+    places: Int[np.ndarray, " k"]
+    error: Errors
+    derivatives: Float[np.ndarray, "k n batch"]
+
+    def error_after(self, step: Float[np.ndarray, " k"]) -> Errors:
+        return self.error + np.tensordot(step, self.derivatives, 1)
+
+
 class Fit(NamedTuple):
     """theta; places that were free; error `[n, batch]` and its derivatives `[k, n, batch]`; weight `[n, batch]`, which
     is 1 / (σ² κ); left_out: error of every sample by the numbers of a fit without its fold."""
@@ -56,53 +68,57 @@ def fitted(
     folds: int,
 ) -> Fit:
     """remembered: κ of every joint."""
-    error, derivatives = torques.linearised(theta, samples, places)
-    weight = regime_weight(error, samples, remembered)
+    at = Tangent(theta, places, *torques.linearised(theta, samples, places))
+    weight = regime_weight(at.error, samples, remembered)
     for _ in range(_STEPS):
-        sums = _sums(error, derivatives, np.sqrt(weight), np.ones(error.shape[1], bool))
-        step = _solved(torques.problem, theta, places, *sums)
-        now, before, cost = theta, error, _cost(torques, error, weight, theta)
+        step = _solved(torques.problem, at, *_sums(*_scaled(at, weight)))
+        cost = _cost(torques, at.error, weight, at.theta)
         for halved in range(_SHORTER):
-            theta = now.copy()
+            theta = at.theta.copy()
             theta[places] += step * 0.5**halved
             error = torques.errors(theta, samples)
             if (after := _cost(torques, error, weight, theta)) <= cost:
                 break
         else:
-            theta, error, after = now, torques.errors(now, samples), cost
-        bent = error - before - np.tensordot(theta[places] - now[places], derivatives, 1)
+            theta, error, after = at.theta, at.error, cost
+        bent = error - at.error_after(theta[places] - at.theta[places])
         linear = float((weight * bent**2).sum()) <= _STILL_FALLS * after
         weight = regime_weight(error, samples, remembered)
         if linear or cost - after <= _STILL_FALLS * cost:
+            at = Tangent(theta, places, error, at.derivatives)
             break
-        _, derivatives = torques.linearised(theta, samples, places)
-    return linear_fit(torques, samples, theta, places, error, derivatives, weight, folds)
+        at = Tangent(theta, places, *torques.linearised(theta, samples, places))
+    return linear_fit(torques, samples, at, weight, folds)
 
 
-def linear_fit(
+def refitted(
     torques: Torques,
     samples: Samples,
-    theta: Float[np.ndarray, " p"],
-    places: Int[np.ndarray, " k"],
-    error: Errors,
-    derivatives: Float[np.ndarray, "k n batch"],
+    at: Tangent,
     weight: Errors,
+    remembered: Float[np.ndarray, " n"],
     folds: int,
 ) -> Fit:
+    """`linear_fit` with weights by the errors that one step leaves."""
+    error = at.error_after(_solved(torques.problem, at, *_sums(*_scaled(at, weight))))
+    return linear_fit(torques, samples, at, regime_weight(error, samples, remembered), folds)
+
+
+def linear_fit(torques: Torques, samples: Samples, at: Tangent, weight: Errors, folds: int) -> Fit:
     """One step from θ, and the same without each fold; what is nonlinear in θ keeps its tangent."""
     problem, fold_of = torques.problem, samples.block % folds
-    root = np.sqrt(weight)
-    sums = [_sums(error, derivatives, root, fold_of == fold) for fold in range(folds)]
+    error, columns = _scaled(at, weight)
+    parts = [fold_of == fold for fold in range(folds)]
+    sums = [_sums(error[:, part], columns[..., part]) for part in parts]
     whole = np.sum([normal for normal, _ in sums], axis=0), np.sum([pull for _, pull in sums], axis=0)
     left_out = np.empty_like(error)
-    for fold, (normal, pull) in enumerate(sums):
-        out = fold_of == fold
-        without = _solved(problem, theta, places, whole[0] - normal, whole[1] - pull)
-        left_out[:, out] = error[:, out] + np.tensordot(without, derivatives[..., out], 1)
-    step = _solved(problem, theta, places, *whole)
-    moved = theta.copy()
-    moved[places] += step
-    return Fit(moved, places, error + np.tensordot(step, derivatives, 1), derivatives, weight, left_out)
+    for part, (normal, pull) in zip(parts, sums, strict=True):
+        without = _solved(problem, at, whole[0] - normal, whole[1] - pull)
+        left_out[:, part] = at.error[:, part] + np.tensordot(without, at.derivatives[..., part], 1)
+    step = _solved(problem, at, *whole)
+    theta = at.theta.copy()
+    theta[at.places] += step
+    return Fit(theta, at.places, at.error_after(step), at.derivatives, weight, left_out)
 
 
 def gain(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> Gain:
@@ -169,21 +185,25 @@ def _cost(torques: Torques, error: Errors, weight: Errors, theta: np.ndarray) ->
     return float((weight * error**2).sum()) + torques.problem.penalty(theta)
 
 
-def _sums(error: Errors, derivatives: np.ndarray, root: Errors, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix and pull of the samples that are kept."""
-    scaled = (error[:, kept] * root[:, kept]).ravel()
-    columns = (derivatives[..., kept] * root[:, kept]).reshape(len(derivatives), len(scaled))
-    return columns @ columns.T, -columns @ scaled
+def _scaled(at: Tangent, weight: Errors) -> tuple[Errors, Float[np.ndarray, "k n batch"]]:
+    """Errors and derivatives in standard deviations."""
+    root = np.sqrt(weight)
+    return at.error * root, at.derivatives * root
 
 
-def _solved(
-    problem: Problem, theta: np.ndarray, places: Int[np.ndarray, " k"], normal: np.ndarray, pull: np.ndarray
-) -> Float[np.ndarray, " k"]:
+def _sums(error: Errors, columns: Float[np.ndarray, "k n batch"]) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix and pull."""
+    flat = columns.reshape(len(columns), error.size)
+    return flat @ flat.T, -flat @ error.ravel()
+
+
+def _solved(problem: Problem, at: Tangent, normal: np.ndarray, pull: np.ndarray) -> Float[np.ndarray, " k"]:
     """Change of the numbers at `places`, with what is known of them before."""
+    places, now = at.places, at.theta[at.places]
     precision = problem.precision[places]
     return step_within(
         normal + np.diag(precision),
-        pull - precision * (theta[places] - problem.theta[places]),
-        problem.low[places] - theta[places],
-        problem.high[places] - theta[places],
+        pull - precision * (now - problem.theta[places]),
+        problem.low[places] - now,
+        problem.high[places] - now,
     )

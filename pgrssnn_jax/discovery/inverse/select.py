@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques
-from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, fitted, gain, linear_fit, regime_weight, remembered
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, Tangent, fitted, gain, refitted, regime_weight, remembered
 from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, span_of
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.settings import Criteria
@@ -80,13 +80,11 @@ class Search(NamedTuple):
 
     def linear(self, theta: np.ndarray, active: Active, derivatives: np.ndarray | None = None) -> Fit:
         """One step from θ; derivatives: where they are known."""
-        places, samples = self.places(active), self.samples
-        error, found = self.torques.linearised(theta, samples, places if derivatives is None else places[:0])
-        derivatives = found if derivatives is None else derivatives
-        rough = regime_weight(error, samples, self.kappa)
-        fit = linear_fit(self.torques, samples, theta, places, error, derivatives, rough, self.folds)
-        weight = regime_weight(fit.error, samples, self.kappa)
-        return linear_fit(self.torques, samples, theta, places, error, derivatives, weight, self.folds)
+        places = self.places(active)
+        error, found = self.torques.linearised(theta, self.samples, places if derivatives is None else places[:0])
+        at = Tangent(theta, places, error, found if derivatives is None else derivatives)
+        weight = regime_weight(error, self.samples, self.kappa)
+        return refitted(self.torques, self.samples, at, weight, self.kappa, self.folds)
 
 
 def own_places(problem: Problem) -> Int[np.ndarray, " k"]:

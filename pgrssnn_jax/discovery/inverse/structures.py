@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques
-from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, gain, linear_fit, regime_weight
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, Tangent, gain, refitted, regime_weight
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.base import SignalRange
 
@@ -76,11 +76,9 @@ def best_structures(
         for name, numbers in structure.numbers().items():
             at = problem.put(at, name, numbers)
         inside = replace(torques, problem=_either_way(near(problem, structure)))
-        error, derivatives = torques.linearised(at, samples, places)
+        tangent = Tangent(at, places, *torques.linearised(at, samples, places))
         weight = regime_weight(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
-        rough = linear_fit(inside, samples, at, places, error, derivatives, weight, folds)
-        weight = regime_weight(rough.error, samples, kappa)
-        return linear_fit(inside, samples, at, places, error, derivatives, weight, folds)
+        return refitted(inside, samples, tangent, weight, kappa, folds)
 
     none = Structure((0.0, 0.0), (0.0,) * n)
     nominal = fit(none)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.chain import Batch, Chain, torques, world_at
-from pgrssnn_jax.physics.arms.derivatives import inverse_jacobian
+from pgrssnn_jax.physics.arms.derivatives import Matrix, inverse_jacobian
 from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.motion_prior import FilterNumbers
 from pgrssnn_jax.physics.arms.tables import ArmTables
@@ -35,9 +35,10 @@ class ArmPoints(NamedTuple):
     drive(p, u) -> Nm: torque of the motors on the link side; torque(p, q, q̇, drive) -> Nm: with all others on the link
     side; position(p, reading) -> rad, where the state holds what encoders read; masses(p) -> Extra, None where the
     moving masses are those of the tables whatever an effect says (Pinocchio); inverse(p, q, q̇, q̈, extra) -> Nm that a
-    motion takes on the link side, for many samples at once `[n, batch]`; stop(p, x) -> x;
-    disturbance(p, x_{t-1}, x_t) -> x_t; measure(p, x, u) -> y. tables: those of the arm
-    without effects; filter(p): numbers of the filter, None where the arm is not in that form.
+    motion takes on the link side, for many samples at once `[n, batch]`; inverse_slopes: the same with its derivative
+    by (q, q̇, q̈, extra), `[n, columns, batch]`; stop(p, x) -> x; disturbance(p, x_{t-1}, x_t) -> x_t;
+    measure(p, x, u) -> y. tables: those of the arm without effects; filter(p): numbers of the filter, None where the
+    arm is not in that form.
     """
 
     drive: Callable[[Any, Joints], Joints]
@@ -45,6 +46,7 @@ class ArmPoints(NamedTuple):
     position: Callable[[Any, Joints], Joints]
     masses: Callable[[Any], Extra] | None
     inverse: Callable[[Any, Batch, Batch, Batch, Extra], Batch]
+    inverse_slopes: Callable[[Any, Batch, Batch, Batch, Extra], tuple[Batch, Matrix]]
     stop: Callable[[Any, State], State]
     disturbance: Callable[[Any, State, State], State]
     measure: Callable[[Any, State, Joints], Joints]
@@ -61,12 +63,14 @@ class ArmPoints(NamedTuple):
 def own_points(tables: ArmTables, *, masses: bool, measured: bool, filtered: bool = False) -> ArmPoints:
     """The points of an arm without effects. masses: may effects change them? measured: false for y = 0; filtered: are
     its params those of a filter too?"""
+    inverse, inverse_slopes = _inverse_dynamics(Chain(tables))
     return ArmPoints(
         drive=lambda p, u: p["G"] * u,
         torque=_friction_and_bias,
         position=lambda p, reading: reading,
         masses=(lambda p: Extra()) if masses else None,
-        inverse=_inverse_dynamics(Chain(tables)),
+        inverse=inverse,
+        inverse_slopes=inverse_slopes,
         stop=lambda p, x: x,
         disturbance=_known_disturbance,
         measure=_positions if measured else _nothing,
@@ -75,26 +79,39 @@ def own_points(tables: ArmTables, *, masses: bool, measured: bool, filtered: boo
     )
 
 
-def _inverse_dynamics(chain: Chain) -> Callable[[Any, Batch, Batch, Batch, Extra], Batch]:
-    """M q̈ + h with a derivative in closed form: any number of tangents share one matrix."""
+def _inverse_dynamics(chain: Chain) -> tuple[Callable[..., Batch], Callable[..., tuple[Batch, Matrix]]]:
+    """M q̈ + h, with a derivative in closed form, and together with that derivative."""
 
     @jax.custom_jvp
     def inverse(q: Batch, v: Batch, a: Batch, extra: Extra) -> Batch:
         return torques(chain, world_at(chain, q, extra), v, a, extra)
 
+    def with_slopes(q: Batch, v: Batch, a: Batch, extra: Extra) -> tuple[Batch, Matrix]:
+        world = world_at(chain, q, extra)
+        return torques(chain, world, v, a, extra), inverse_jacobian(chain, v, a, world, extra)
+
     @inverse.defjvp
     def push(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Batch, Batch]:
-        q, v, a, extra = primals
-        world = world_at(chain, q, extra)
-        matrix = inverse_jacobian(chain, v, a, world, extra)
-        *motions, numbers = tangents
-        z, beta = jnp.concatenate(motions), jax.tree.leaves(numbers)
-        moved = jnp.einsum("nkb,kb->nb", matrix[:, : len(z)], z)
-        if beta:
-            moved += jnp.einsum("nkb,k->nb", matrix[:, len(z) :], jnp.concatenate(beta)[:, 0])
-        return torques(chain, world, v, a, extra), moved
+        required, slopes = with_slopes(*primals)
+        return required, along(slopes, *tangents)
 
-    return lambda p, q, v, a, extra: inverse(q, v, a, jax.tree.map(lambda number: number[:, None], extra))
+    def columns(extra: Extra) -> Extra:
+        return jax.tree.map(lambda number: number[:, None], extra)
+
+    return (
+        lambda p, q, v, a, extra: inverse(q, v, a, columns(extra)),
+        lambda p, q, v, a, extra: with_slopes(q, v, a, columns(extra)),
+    )
+
+
+def along(slopes: Matrix, q: Batch, v: Batch, a: Batch, extra: Extra) -> Batch:
+    """Derivative of the inverse dynamics along one direction of (q, q̇, q̈, extra); numbers of `extra` are columns or
+    vectors."""
+    motion, numbers = jnp.concatenate([q, v, a]), jax.tree.leaves(extra)
+    moved = jnp.einsum("nkb,kb->nb", slopes[:, : len(motion)], motion)
+    if numbers:
+        moved += jnp.einsum("nkb,k->nb", slopes[:, len(motion) :], jnp.concatenate([one.ravel() for one in numbers]))
+    return moved
 
 
 def _friction_and_bias(p: Any, q: Joints, v: Joints, drive: Joints) -> Joints:

@@ -15,11 +15,25 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from pgrssnn_jax.physics.arms.chain import Batch
+from pgrssnn_jax.physics.arms.derivatives import Matrix
+from pgrssnn_jax.physics.arms.extra import Extra
 from pgrssnn_jax.physics.arms.points import ArmPoints, Joints
 
 
 def required_torque(points: ArmPoints, p: Any, dt: float, reading: Batch, v: Batch, a: Batch) -> Batch:
     """M q̈ + h, Nm on the link side."""
+    return points.inverse(p, *inverse_inputs(points, p, dt, reading, v, a))
+
+
+def required_slopes(points: ArmPoints, p: Any, dt: float, reading: Batch, v: Batch, a: Batch) -> tuple[Batch, Matrix]:
+    """The same with its derivative by `inverse_inputs`."""
+    return points.inverse_slopes(p, *inverse_inputs(points, p, dt, reading, v, a))
+
+
+def inverse_inputs(
+    points: ArmPoints, p: Any, dt: float, reading: Batch, v: Batch, a: Batch
+) -> tuple[Batch, Batch, Batch, Extra]:
+    """q, q̇, q̈ and masses that the inverse dynamics of a motion take."""
     assert points.masses is not None
     q = jax.vmap(points.position, (None, 1), 1)(p, reading)
     disturbed = jax.vmap(partial(points.disturbance, p), (1, 1), 1)
@@ -30,7 +44,7 @@ def required_torque(points: ArmPoints, p: Any, dt: float, reading: Batch, v: Bat
 
     before = v - dt * a
     before += added(before) / 2  # measured speeds are the mean of those before and after something is added
-    return points.inverse(p, q, v, a - added(before) / dt, points.masses(p))
+    return q, v, a - added(before) / dt, points.masses(p)
 
 
 def torque_residual(points: ArmPoints, p: Any, required: Batch, reading: Batch, v: Batch, u: Batch) -> Batch:
