@@ -70,7 +70,8 @@ def discovery_summary(discovery: Discovery) -> Group:
         parts.append(Text(f"best description of what is missing: {discovery['formula']}"))
     metrics = facts.as_metrics(discovery)
     source = Text(content.source(metrics), "bold red" if content.simulated(metrics) else "")
-    numbers = [table for table in (joint_table(discovery), shift_table(discovery)) if table.rows]
+    found = joint_table(discovery), free_run_table(discovery), shift_table(discovery)
+    numbers = [table for table in found if table.rows]
     parts += [gap_table(discovery), *numbers, source]
     spent = ", ".join(f"{name} {content.duration(s)}" for name, s in (discovery.get("seconds") or {}).items())
     return Group(*parts, *([Text(f"time: {spent}")] if spent else []))
@@ -96,6 +97,17 @@ def joint_table(discovery: Discovery) -> Table:
     ]
     header = ("joint", "std (Nm)", "all", "moving", "at rest")
     return _table("Torque errors by joint, nominal → with the missing effects", header, rows)
+
+
+def free_run_table(discovery: Discovery) -> Table:
+    """Errors of an arm that moves by the measured torques alone; empty for what is not judged by its torques."""
+    rows = [
+        [content.duration(row["horizon_s"]) if row["horizon_s"] else "whole sequences",
+         *(number(row.get(stage)) for stage in ("before", "recalibrated", "after"))]
+        for row in discovery.get("free_run") or ()
+    ]  # fmt: skip
+    header = ("simulated for", *(words for words in facts.STAGES.values()))
+    return _table("Free run of the test record by its torques: position NRMSE, mean over joints", header, rows)
 
 
 def shift_table(discovery: Discovery) -> Table:
@@ -134,6 +146,7 @@ def number_tables(discovery: Discovery) -> list[Table]:
     tables = [
         gap_table(discovery),
         joint_table(discovery),
+        free_run_table(discovery),
         _table("Where physics and measurement disagree", where_header, where)._replace(
             left=("equation", "where", "when")
         ),

@@ -4,7 +4,7 @@ records ──> q, q̇, q̈ ──> torque errors ──> structure and effects 
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
 from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Samples, Torques, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.fit import Gain
+from pgrssnn_jax.discovery.inverse.free_run import FreeRun, free_runs
 from pgrssnn_jax.discovery.inverse.hum import hum_of
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
 from pgrssnn_jax.discovery.inverse.motion import Motion, few, motion_of, spectrum_of
@@ -48,7 +49,7 @@ class Found(NamedTuple):
     motion by no effect's law; line: a hum, motor Nm; std: of the last two stages; p_values; without: test error without
     each effect; shift: samples between a torque and its motion; gain: in the log-likelihood of the test record over the
     recalibrated physics, or over the nominal one where friction alone has left its prior; floor: error of noise alone;
-    freedom: degrees of it, of the deviations."""
+    freedom: degrees of it, of the deviations; free_run: of the models of `theta`, on the test record."""
 
     problem: Problem
     verdict: Verdict
@@ -64,6 +65,7 @@ class Found(NamedTuple):
     shift: float
     train: Compared
     test: Compared
+    free_run: Sequence[FreeRun]
     gain: Gain
     floor: float
     freedom: float
@@ -128,6 +130,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         train, test = (
             compared(model, motion, fastest, theta, scale[part], chosen.kappa) for part, motion in read.items()
         )
+        runs = free_runs(problem, reading._replace(shift=1.0).of(setup.test), theta)
         without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
         line = hum_of(model, reading, setup.estimation, theta["after"])
         gain = test.gains["recalibrated" if active else "before"]
@@ -148,6 +151,7 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         shift=reading.shift,
         train=train,
         test=test,
+        free_run=runs,
         gain=gain,
         floor=floor,
         freedom=samples.blocks - 1.0,

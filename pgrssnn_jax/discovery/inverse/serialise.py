@@ -38,6 +38,10 @@ def torques_json(found: Found, setup: Setup, *, command: str) -> dict[str, Any]:
             "torque_read": _TIMING[found.shift],
         },
         "joints": _joints(found.test),
+        "free_run": [
+            {"horizon_s": one.horizon, **{stage: _number(error) for stage, error in one.errors.items()}}
+            for one in found.free_run
+        ],
         "effects": effects,
         "alternatives": _alternatives(found),
         "untestable": _untestable(found, setup),

@@ -79,7 +79,12 @@ def test_the_constant_torque_is_named_among_few_effects(description, tmp_path):
     assert {row["name"] for row in found.details["ranking"]} <= FEW
     found.save(tmp_path / "run")
     assert (tmp_path / "run" / "corrected.urdf").exists()
-    assert "torque_bias" in (tmp_path / "run" / "report.html").read_text()
+    assert [row["horizon_s"] for row in found.details["free_run"]] == [1.0, 5.0, None]
+    first = found.details["free_run"][0]  # longer ones of a crane that stands on its head fall over
+    assert first["after"] < 0.2 * first["recalibrated"]
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "torque_bias" in page
+    assert "Free run of the test record by its torques" in page
 
 
 def test_where_noise_hides_when_a_torque_acts_it_is_held_over_its_sample(description):

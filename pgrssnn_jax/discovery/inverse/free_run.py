@@ -1,0 +1,65 @@
+"""Proof in free run: how far an arm that moves by the measured torques alone gets from the measured one.
+
+    x_t = step(p, x_{t-1}, u_t),   x = [q, q̇], the measured one at the start and again after every horizon
+    error = mean over joints of RMS(q - q_measured) / std(q_measured)
+
+A torque residual is the error of one moment; a free run adds them up.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pgrssnn_jax.acceleration.compiler import quick_jit
+from pgrssnn_jax.discovery.inverse.motion import Motion
+from pgrssnn_jax.discovery.problem import Problem
+
+_HORIZONS = (1.0, 5.0, None)  # s; None: whole sequences
+
+
+class FreeRun(NamedTuple):
+    """horizon: s, None where sequences are simulated whole; errors: of every model, NaN where its arm left all
+    bounds."""
+
+    horizon: float | None
+    errors: Mapping[str, float]
+
+
+def free_runs(problem: Problem, motion: Motion, numbers: Mapping[str, Float[np.ndarray, " p"]]) -> list[FreeRun]:
+    """motion: at the moments at which positions were read; numbers: θ of every model. Horizons that are shorter than
+    two samples, or longer than the sequences, are left out."""
+    full, (sequences, time, _) = problem.full, motion.v.shape
+    others = np.zeros((sequences, time, len(full.states) - 2 * motion.v.shape[2]))
+    measured = jnp.asarray(np.concatenate([motion.reading, motion.v, others], axis=2))
+    torque = jnp.asarray(motion.torque)
+
+    @quick_jit()
+    def positions(theta: jax.Array, begins: Bool[jax.Array, " time"]) -> Float[jax.Array, "seq time n"]:
+        params = problem.code.unravel(theta)
+
+        def advance(x: jax.Array, now: tuple[jax.Array, ...]) -> tuple[jax.Array, jax.Array]:
+            begin, known, u = now
+            x = full.step(params, jnp.where(begin, known, x), u)
+            return x, x[: len(u)]
+
+        def simulate(known: jax.Array, u: jax.Array) -> jax.Array:
+            return jax.lax.scan(advance, known[0], (begins, known[:-1], u[1:]))[1]
+
+        return jax.vmap(simulate)(measured, torque)
+
+    spread = motion.reading.std(axis=(0, 1))
+    found = []
+    for horizon in _HORIZONS:
+        length = time - 1 if horizon is None else round(horizon / motion.spacing)
+        if horizon is not None and not 2 <= length < time - 1:
+            continue
+        begins = jnp.asarray(np.arange(time - 1) % length == 0)
+        runs = {name: np.asarray(positions(jnp.asarray(theta), begins)) for name, theta in numbers.items()}
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = {name: ((q - motion.reading[:, 1:]) ** 2).mean((0, 1)) for name, q in runs.items()}
+            found.append(FreeRun(horizon, {name: float((one**0.5 / spread).mean()) for name, one in squares.items()}))
+    return found
