@@ -22,7 +22,7 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
     """A missing effect: its equation and numbers, where and when it acts, how sure it is; without what is not known."""
     runner, p, active = effect.get("runner_up") or {}, effect.get("p_value"), effect.get("active_fraction")
     joints = ", ".join(map(str, effect.get("joints") or ()))
-    gains = [percent(effect.get(f"gain_{part}")) for part in ("test", "train")]
+    gains = {"test": effect.get("gain_test"), "training data": effect.get("gain_train")}
     known: dict[str, str | None] = {
         "equation": effect.get("equation"),
         **{quantity.name: quantity.words for quantity in facts.quantities(effect)},
@@ -31,7 +31,7 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
         "where": effect.get("region"),
         "active": None if active is None else f"in {percent(active)} of the samples",
         "when": facts.intervals(effect),
-        "gap closed": f"{gains[0]} on test, {gains[1]} on training data",
+        "gap closed": ", ".join(f"{percent(share)} on {data}" for data, share in gains.items() if share is not None),
         "by chance": None if p is None else f"p = {chance(p)}",
         "runner-up": f"{runner.get('name')}, would close {percent(runner.get('gain'))}" if runner else None,
         "command": effect.get("command"),
