@@ -21,6 +21,7 @@ from rich.console import Console
 from pgrssnn_jax.cli import entry
 from pgrssnn_jax.cli.config_store import register
 from pgrssnn_jax.cli.plan import plain_config
+from pgrssnn_jax.cli.resume import key_of
 from pgrssnn_jax.cli.train import plan_command, train_run
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.reports import write
@@ -66,7 +67,7 @@ def trained(folder: Path, *overrides: str) -> RunFolder:
         experiment, plan = plan_command(config, lambda line: None)
         train_run(
             config, plan, experiment, None, run, Console(file=log), threading.Event(),
-            command="python train.py", seconds={},
+            command="python train.py", seconds={}, typed=[*map(key_of, overrides)],
         )  # fmt: skip
     return run
 

@@ -4,7 +4,7 @@ import json
 import shlex
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ from pgrssnn_jax.api import finished
 from pgrssnn_jax.cli.entry import Work
 from pgrssnn_jax.cli.plan import Experiment, incomplete_config, load_experiment, plain_config
 from pgrssnn_jax.cli.process import Interrupted
-from pgrssnn_jax.cli.resume import override, resume_config, resumed_physics
+from pgrssnn_jax.cli.resume import key_of, override, resume_config, resumed_physics
 from pgrssnn_jax.effects.stored import physics_to_json
 from pgrssnn_jax.models.spec import VARIANTS
 from pgrssnn_jax.physics.check import of_library
@@ -38,6 +38,7 @@ from pgrssnn_jax.training.recipes import CHOSEN, DEFAULT, recipe_for
 from pgrssnn_jax.training.run_folder import RunFolder, discard_if_empty, read_training_config, short_path
 from pgrssnn_jax.training.settings import (
     changed,
+    config_key,
     differing,
     settings_from_config,
     settings_to_config,
@@ -69,8 +70,9 @@ def prepare_training(config: DictConfig) -> Work:
     labels = {group: hydra.runtime.choices.get(group) for group in ("physics", "experiment", "budget")}
     seconds = {"load": time.perf_counter() - started}
     do = partial(
-        train_run, settings, plan, experiment, first, run, console, command=command, labels=labels, seconds=seconds
-    )
+        train_run, settings, plan, experiment, first, run, console, command=command, labels=labels, seconds=seconds,
+        typed=[*map(key_of, hydra.overrides.task)],
+    )  # fmt: skip
     return Work(folder, do)
 
 
@@ -83,10 +85,10 @@ def plan_command(config: Mapping[str, Any], notify: Any) -> tuple[Experiment, Pl
 
 
 def choose(
-    config: Mapping[str, Any], experiment: Experiment, stop: threading.Event, notify: Any
+    config: Mapping[str, Any], experiment: Experiment, typed: Collection[str], stop: threading.Event, notify: Any
 ) -> tuple[dict[str, Any], Plan, float]:
     """The configuration and the plan with the settings that `recipe=auto` chooses, and the seconds that this took.
-    Raises `Interrupted` when stopped."""
+    typed: keys of the command line, which stay as they are. Raises `Interrupted` when stopped."""
     given = settings_from_config(config)
     discovered = experiment.physics.discovered
     own = recipe_for(experiment.train.info.benchmark)
@@ -94,8 +96,9 @@ def choose(
         given.name if given.name in VARIANTS else given.model, DEFAULT.settings(discovered=discovered)
     )
     kept = own.split(discovered=discovered)[0]
-    changes = {name: value for name, value in kept.items() if not differing(given, [name], usual)}
-    held = differing(given, CHOSEN, usual)
+    names = {*CHOSEN, *kept}
+    held = {*differing(given, names, usual), *(name for name in names if config_key(name) in typed)}
+    changes = {name: value for name, value in kept.items() if name not in held}
     chosen = choose_settings(
         experiment.physics, experiment.train, changed(given, changes), held, stop=stop, notify=notify
     )
@@ -140,15 +143,19 @@ def train_run(
     command: str,
     seconds: dict[str, float],
     labels: Mapping[str, str | None] | None = None,
+    typed: Collection[str] = (),
 ) -> None:
     """Chooses settings where the recipe is `auto`, trains from `first`, or from fresh members; evaluates, reports.
     stop: ends training after the current chunk.
 
-    labels: names of the configuration's files. Raises `Interrupted` when stopped, after a checkpoint has been written.
+    labels: names of the configuration's files; typed: keys of the command line. Raises `Interrupted` when stopped,
+    after a checkpoint has been written.
     """
     test = experiment.test
     if config["recipe"] == "auto":
-        config, plan, seconds["choose"] = choose(config, experiment, stop, partial(console.print, soft_wrap=True))
+        config, plan, seconds["choose"] = choose(
+            config, experiment, typed, stop, partial(console.print, soft_wrap=True)
+        )
     console.print(_headline(config, plan), soft_wrap=True)
     if first is None and run.finished:
         console.print(f"replacing the earlier run in {short_path(run.path)}", soft_wrap=True)

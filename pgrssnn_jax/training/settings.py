@@ -170,6 +170,11 @@ def differing(settings: TrainingSettings, names: Collection[str], usual: Trainin
     return [name for name, value in found.items() if value != getattr(getattr(usual, GROUP_OF[name]), name)]
 
 
+def config_key(name: str) -> str:
+    """Where a setting stands in the configuration: `fit.learning_rate`, `initial_state`."""
+    return name if GROUP_OF[name] == "run" else f"{GROUP_OF[name]}.{name}"
+
+
 def settings_to_config(settings: TrainingSettings) -> dict[str, Any]:
     """The inverse of `settings_from_config`, as plain data."""
     groups = {group: asdict(getattr(settings, group)) for group in GROUPS}

@@ -258,3 +258,16 @@ def test_own_data_chooses_its_settings_and_experiments_keep_theirs():
     assert composed(*csv, "recipe=default")["recipe"] == "default"
     assert composed("+experiment=cascaded_tank")["recipe"] == "cascaded_tank"
     assert composed("+experiment=cascaded_tank", "recipe=auto")["recipe"] == "auto"
+
+
+def test_a_setting_that_is_typed_stays_as_it_is_where_it_is_the_usual_one_too(tmp_path, benchmark, monkeypatch):
+    held = set[str]()
+
+    def choose(physics, train, settings, kept, **_) -> None:
+        held.update(kept)
+
+    monkeypatch.setattr("pgrssnn_jax.cli.train.choose_settings", choose)
+    code, _, err = called(*quick(benchmark, "recipe=auto", "initial_state=first_output"), cwd=tmp_path)
+    assert (code, "nothing was written" in err) == (130, True), err
+    assert "initial_state" in held
+    assert "correction" not in held
