@@ -18,7 +18,8 @@ from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.discovery.inverse.motion import Motion
 from pgrssnn_jax.discovery.problem import Problem
 
-_HORIZONS = (1.0, 5.0, None)  # s; None: whole sequences
+_HORIZONS = (1.0, 5.0)  # s, beside whole sequences
+_MOST = 20_000  # samples of a sequence that are simulated, within seconds; later ones say nothing else
 
 
 class FreeRun(NamedTuple):
@@ -31,11 +32,12 @@ class FreeRun(NamedTuple):
 
 def free_runs(problem: Problem, motion: Motion, numbers: Mapping[str, Float[np.ndarray, " p"]]) -> list[FreeRun]:
     """motion: at the moments at which positions were read; numbers: θ of every model. Horizons that are shorter than
-    two samples, or longer than the sequences, are left out."""
-    full, (sequences, time, _) = problem.full, motion.v.shape
-    others = np.zeros((sequences, time, len(full.states) - 2 * motion.v.shape[2]))
-    measured = jnp.asarray(np.concatenate([motion.reading, motion.v, others], axis=2))
-    torque = jnp.asarray(motion.torque)
+    two samples, or longer than the sequences, are left out; the last one is whole sequences, or as much of long ones as
+    is simulated."""
+    full, reading, v, torque = problem.full, motion.reading[:, :_MOST], motion.v[:, :_MOST], motion.torque[:, :_MOST]
+    steps, whole = v.shape[1] - 1, motion.v.shape[1] <= _MOST
+    others = np.zeros((*v.shape[:2], len(full.states) - 2 * v.shape[2]))
+    measured, given = jnp.asarray(np.concatenate([reading, v, others], axis=2)), jnp.asarray(torque)
 
     @quick_jit()
     def positions(theta: jax.Array, begins: Bool[jax.Array, " time"]) -> Float[jax.Array, "seq time n"]:
@@ -49,17 +51,19 @@ def free_runs(problem: Problem, motion: Motion, numbers: Mapping[str, Float[np.n
         def simulate(known: jax.Array, u: jax.Array) -> jax.Array:
             return jax.lax.scan(advance, known[0], (begins, known[:-1], u[1:]))[1]
 
-        return jax.vmap(simulate)(measured, torque)
+        return jax.vmap(simulate)(measured, given)
 
-    spread = motion.reading.std(axis=(0, 1))
+    spread = reading.std(axis=(0, 1))
+    moved = spread > 0  # a joint that stands still has no part in the mean
+    lengths = {horizon: round(horizon / motion.spacing) for horizon in _HORIZONS}
+    shown = {horizon: length for horizon, length in lengths.items() if 2 <= length < steps}
+    last = None if whole else steps * motion.spacing
     found = []
-    for horizon in _HORIZONS:
-        length = time - 1 if horizon is None else round(horizon / motion.spacing)
-        if horizon is not None and not 2 <= length < time - 1:
-            continue
-        begins = jnp.asarray(np.arange(time - 1) % length == 0)
+    for horizon, length in {**shown, last: steps}.items() if moved.any() else ():
+        begins = jnp.asarray(np.arange(steps) % length == 0)
         runs = {name: np.asarray(positions(jnp.asarray(theta), begins)) for name, theta in numbers.items()}
         with np.errstate(over="ignore", invalid="ignore"):
-            squares = {name: ((q - motion.reading[:, 1:]) ** 2).mean((0, 1)) for name, q in runs.items()}
-            found.append(FreeRun(horizon, {name: float((one**0.5 / spread).mean()) for name, one in squares.items()}))
+            rms = {name: np.sqrt(((q - reading[:, 1:]) ** 2).mean((0, 1))) for name, q in runs.items()}
+        errors = {name: float((one[moved] / spread[moved]).mean()) for name, one in rms.items()}
+        found.append(FreeRun(horizon, errors))
     return found

@@ -46,9 +46,15 @@ def test_the_true_arm_stays_where_it_was_measured_and_another_one_errs_as_its_pi
     assert 0 < found[0].errors["biased"] < found[1].errors["biased"] < found[2].errors["biased"]
 
 
-def test_horizons_that_a_record_cannot_show_are_left_out():
+def test_horizons_that_a_record_cannot_show_are_left_out(monkeypatch):
     physics = arm(derivatives="forward")
     problem = build_problem(physics, [], accelerate=False)
     rest, none = np.zeros((1, 21, KUKA.n)), np.zeros(KUKA.n)
     motion = Motion(rest + np.arange(21)[:, None], rest, rest, rest, 0.05, None, none, none)
     assert [one.horizon for one in free_runs(problem, motion, {})] == [None]
+    locked = motion._replace(reading=motion.reading * np.array([0, 1, 1, 1, 1, 1]))
+    (whole,) = free_runs(problem, locked, {"here": problem.theta})
+    assert np.isfinite(whole.errors["here"])
+    assert not free_runs(problem, motion._replace(reading=rest), {"here": problem.theta})
+    monkeypatch.setattr("pgrssnn_jax.discovery.inverse.free_run._MOST", 11)
+    assert [one.horizon for one in free_runs(problem, motion, {})] == [pytest.approx(0.5)]  # s, and not whole
