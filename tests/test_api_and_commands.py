@@ -34,14 +34,11 @@ def test_the_api_gives_the_numbers_of_the_command(name, run, tmp_path):
 @pytest.mark.compiles
 def test_the_api_chooses_the_settings_of_the_command(tmp_path):
     arguments = ["+experiment=cascaded_tank", "data.generated=true", "budget=smoke", "recipe=auto", "data.n_train=200"]
-    less = ["initial_state=first_output", "fit.physics_parameters=fixed"]  # candidates that compile sooner
-    code, _, err = command(*arguments, *less, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
+    code, _, err = command(*arguments, f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path)
     assert not code, err
     train, test = pg.load_benchmark("cascaded_tank", generated=True, n_train=200)
     tanks = pg.physics.cascaded_tanks(clamp=True)
-    held = {"initial_state": "first_output", "physics_parameters": "fixed"}
-    found = pg.fit("pg_rssnn", tanks, train, recipe="auto", seeds=2, **held, **SMOKE).evaluate(test)
-    assert len(found.metrics["recipe"]["tried"]) > 4
+    found = pg.fit("pg_rssnn", tanks, train, recipe="auto", seeds=2, **SMOKE).evaluate(test)
     expected = json.loads((tmp_path / "run" / "metrics.json").read_text())
     assert found.metrics["recipe"]["chosen"] == expected["recipe"]["chosen"]
     assert [m["test"] for m in found.metrics["members"]] == [m["test"] for m in expected["members"]]
@@ -76,12 +73,12 @@ def test_discover_gives_the_numbers_of_the_command(tmp_path):
     cheap = {"steps": 4, "draws": 99, "starts": 1, "most": 1, "p_value": 0.02, "network_epochs": 2}
     arguments = [f"discovery.{name}={value}" for name, value in cheap.items()]
     code, _, err = command(
-        "+experiment=cascaded_tank", "data.generated=true", "data.n_train=300", *arguments,
-        f"hydra.run.dir={tmp_path / 'run'}", cwd=tmp_path, script="discover.py",
+        "+experiment=cascaded_tank", "data.generated=true", *arguments, f"hydra.run.dir={tmp_path / 'run'}",
+        cwd=tmp_path, script="discover.py",
     )  # fmt: skip
     assert not code, err
     expected = json.loads((tmp_path / "run" / "discovery.json").read_text())
-    train, test = pg.load_benchmark("cascaded_tank", generated=True, n_train=300)
+    train, test = pg.load_benchmark("cascaded_tank", generated=True)
     found = pg.discover(pg.physics.cascaded_tanks(clamp=True), train, test, quiet=True, **cheap)
     found.save(tmp_path / "same")
     same = json.loads((tmp_path / "same" / "discovery.json").read_text())

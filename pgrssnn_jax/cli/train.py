@@ -142,8 +142,8 @@ def train_run(
     *,
     command: str,
     seconds: dict[str, float],
+    typed: Collection[str],
     labels: Mapping[str, str | None] | None = None,
-    typed: Collection[str] = (),
 ) -> None:
     """Chooses settings where the recipe is `auto`, trains from `first`, or from fresh members; evaluates, reports.
     stop: ends training after the current chunk.
