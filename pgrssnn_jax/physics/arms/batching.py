@@ -17,6 +17,7 @@ def batch_last(function: Callable[..., Any]) -> Callable[..., Any]:
     Mapped again, the axes become one batch; an axis that only some of the arrays have is left in front of these, so
     that nothing is copied for it: `function` is then mapped as JAX does it.
     """
+    function = jax.jit(function)  # a program calls it in many places: traced once, not in each of them
 
     @jax.custom_batching.custom_vmap
     def many(*given: Any) -> Any:
