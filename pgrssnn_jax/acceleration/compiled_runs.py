@@ -87,14 +87,14 @@ class FreeRuns(NamedTuple):
         return call(*arrays, program=np.int64(self.number))
 
 
-def compiled_free_runs(step: Program, measure: Program, sizes: Sizes, after_step: bool) -> FreeRuns | None:
-    """None where there is no compiler, or an operation that C++ is not written for."""
+def compiled_free_runs(step: Program, measure: Program, sizes: Sizes, after_step: bool) -> FreeRuns | str:
+    """Or why there are none, in one phrase: no compiler, or an operation that C++ is not written for."""
     try:
         text = _source(step, measure, sizes, after_step)
-    except UnknownOperationError:
-        return None
+    except UnknownOperationError as problem:
+        return str(problem)
     number = int.from_bytes(hashlib.sha256((text + build.headers()).encode()).digest()[:7])
-    return None if _missing(number, text) else FreeRuns(number, sizes)
+    return _missing(number, text) or FreeRuns(number, sizes)
 
 
 @cache

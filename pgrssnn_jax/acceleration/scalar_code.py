@@ -36,6 +36,9 @@ class Function(NamedTuple):
 class UnknownOperationError(Exception):
     """An operation, or a type of numbers, without a text here."""
 
+    def __init__(self, what: str) -> None:
+        super().__init__(f"no C++ is written for {what}")
+
 
 def function_of(program: Program, inputs: Sequence[str]) -> Function:
     """inputs: C++ expressions of the numbers. Raises `UnknownOperationError`."""
@@ -119,7 +122,7 @@ def _kind(aval: Any) -> str:
         return "Mask"
     if aval.dtype == np.float64:
         return "Vector"
-    raise UnknownOperationError(str(aval.dtype))
+    raise UnknownOperationError(f"numbers of type {aval.dtype}")
 
 
 def _constant(value: Any) -> str:
@@ -177,7 +180,7 @@ def _transposed(
             (chosen, text.put(f"{which} ? {pulled} : {ZERO}", guarded=True)),
             (otherwise, text.put(f"{which} ? {ZERO} : {pulled}", guarded=True)),
         ]
-    raise UnknownOperationError(f"derivative of {name}")
+    raise UnknownOperationError(f"the derivative of {name}")
 
 
 def _times(text: _Text, pulled: str, factor: str) -> str:

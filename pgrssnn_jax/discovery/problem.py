@@ -50,9 +50,18 @@ class Code:
     written_out: tuple[Program, Program] | None
     accelerate: bool = True
 
-    @cached_property
+    @property
     def compiled(self) -> FreeRuns | None:
         """Free runs in C++, where the functions are written out and there is a compiler."""
+        return found if isinstance(found := self._free_runs, FreeRuns) else None
+
+    @property
+    def uncompiled(self) -> str | None:
+        """Why functions that are written out are not compiled."""
+        return found if isinstance(found := self._free_runs, str) else None
+
+    @cached_property
+    def _free_runs(self) -> FreeRuns | str | None:
         if self.written_out is None or not self.accelerate:
             return None
         full, p = self.full, ravel_pytree(self.full.params)[0].size

@@ -11,15 +11,20 @@ import pytest
 from acceleration.functions import FUNCTIONS
 from toys import quick_jit, toy_physics
 
+import pgrssnn_jax as pg
 from pgrssnn_jax.acceleration import build
 from pgrssnn_jax.acceleration.build import COMPILERS
 from pgrssnn_jax.acceleration.compiled_runs import FreeRuns, Sizes, compiled_free_runs
 from pgrssnn_jax.acceleration.scalars import written_out
+from pgrssnn_jax.discovery.discover import discover
 from pgrssnn_jax.discovery.free_runs import free_run, with_derivatives
 from pgrssnn_jax.discovery.problem import Code, build_problem
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import set_up
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
+from pgrssnn_jax.training.settings import training_settings
 
 pytestmark = pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="no C++ compiler here")
 PLANTS = {
@@ -111,13 +116,19 @@ def test_normal_equations_are_those_of_the_derivatives(plant, lanes):
         np.testing.assert_allclose(one, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
 
 
-def toy_runs(measure, p: int, x: int, y: int) -> FreeRuns | None:
+def toy_code(measure, p: int, x: int, y: int) -> FreeRuns | str:
     """Free runs in which the state stays as it is; measure(θ, x, u)."""
     step = written_out(lambda theta, x, u: x, (p, x, 1), moving=2)
     seen = written_out(measure, (p, x, 1), moving=2)
     assert step is not None
     assert seen is not None
     return compiled_free_runs(step, seen, Sizes(p, x, 1, y, tuple(range(x))), True)
+
+
+def toy_runs(measure, p: int, x: int, y: int) -> FreeRuns:
+    found = toy_code(measure, p, x, y)
+    assert isinstance(found, FreeRuns), found
+    return found
 
 
 def test_every_operation_and_its_derivative():
@@ -134,7 +145,6 @@ def test_every_operation_and_its_derivative():
 
     expected, (by_b, by_a) = quick_jit(lambda *both: (one(*both), jax.jacfwd(one, (0, 1))(*both)))(b, a[:, 0])
     runs = toy_runs(measure, 2, 3, len(expected))
-    assert runs is not None
     free = jnp.tile(jnp.arange(2), (7, 1))
     y, dy = runs.along(jnp.zeros((1, 1, 1)), jnp.asarray(b), jnp.asarray(a), free)
     np.testing.assert_allclose(y[0, :, 0], expected, rtol=1e-12, atol=1e-15)
@@ -148,7 +158,6 @@ def test_every_operation_and_its_derivative():
 def test_the_branch_that_is_not_taken_says_nothing():
     """Its derivative may be infinite, or not a number."""
     runs = toy_runs(lambda theta, x, u: jnp.where(x > 0, theta[0] * jnp.sqrt(x), x / theta[0]), 1, 1, 1)
-    assert runs is not None
     x = jnp.asarray([[[-4.0, 0.0, 4.0]]])
     _, dy = runs.along(jnp.zeros((1, 1, 1)), jnp.asarray([[2.0, 2.0, 2.0]]), x, jnp.zeros((3, 1), int))
     np.testing.assert_allclose(dy[0, 0, :, 0], [[1.0, 0.0, 2.0], [0.5, 0.5, 0.5]])
@@ -156,7 +165,6 @@ def test_the_branch_that_is_not_taken_says_nothing():
 
 def test_what_is_not_finite_stays_so():
     runs = toy_runs(lambda theta, x, u: jnp.stack([jnp.maximum(x[0], 1.0), jnp.clip(x[0], -1, 1), x[0] ** 3]), 1, 1, 3)
-    assert runs is not None
     x = jnp.asarray([[[np.nan, np.inf, -np.inf]]])
     y, _ = runs.run(jnp.zeros((2, 1, 1)), jnp.ones((1, 3)), x)
     np.testing.assert_array_equal(y[1, :, 0], [[np.nan, np.inf, 1.0], [np.nan, 1.0, -1.0], [np.nan, np.inf, -np.inf]])
@@ -164,7 +172,6 @@ def test_what_is_not_finite_stays_so():
 
 def test_normal_equations_leave_out_derivatives_that_are_not_finite_but_no_error_that_is_not():
     runs = toy_runs(lambda theta, x, u: theta[0] + jnp.sqrt(x), 1, 1, 1)
-    assert runs is not None
     x = jnp.asarray([[[-1.0, 0.0, 4.0]]])  # no value; no derivative; both
     given = (jnp.zeros((1, 1, 1)), jnp.zeros((1, 3)), x, jnp.zeros((3, 1), int), jnp.ones((1, 1, 1)))
     squares, pull, matrix = runs.normal(*given, jnp.full((1, 1, 1), 2.0))
@@ -178,8 +185,6 @@ def test_programs_in_one_process_do_not_mix():
     """Each has its own tables, also where both were compiled before either ran."""
     first = toy_runs(lambda theta, x, u: theta[:1] * x[:1], 2, 2, 1)
     second = toy_runs(lambda theta, x, u: theta[1:] * x[1:], 2, 2, 1)
-    assert first is not None
-    assert second is not None
     given = (jnp.zeros((1, 1, 1)), jnp.asarray([[2.0], [3.0]]), jnp.asarray([[[5.0]], [[7.0]]]), jnp.asarray([[0, 1]]))
     np.testing.assert_array_equal(first.along(*given)[1].ravel(), [5.0, 0.0, 2.0, 0.0])
     np.testing.assert_array_equal(second.along(*given)[1].ravel(), [0.0, 7.0, 0.0, 3.0])
@@ -202,8 +207,23 @@ def test_arrays_of_another_physics_are_refused():
         jax.block_until_ready(free_run(code, u, many[:-1], x0))
 
 
-def test_without_a_compiler_or_an_unknown_operation_there_is_none(monkeypatch):
-    assert toy_runs(lambda theta, x, u: jnp.where(x > 0, x.astype(int) + 1, 2).astype(float), 1, 1, 1) is None
+def test_an_unknown_operation_is_the_reason_why_there_are_none():
+    whole = toy_code(lambda theta, x, u: jnp.where(x > 0, x.astype(int) + 1, 2).astype(float), 1, 1, 1)
+    assert whole == "no C++ is written for numbers of type int64"
+
+
+def test_without_a_compiler_a_discovery_says_why_it_takes_longer(monkeypatch):
+    """It goes no further here: everything behind the first line is tested elsewhere."""
     monkeypatch.setattr(build, "COMPILERS", ())
     monkeypatch.delenv("CXX", raising=False)
-    assert toy_runs(lambda theta, x, u: 123.0 * x, 1, 1, 1) is None
+    physics = cascaded_tanks(dt=3.9)  # none of its programs was compiled before
+    u = np.linspace(1.0, 4.0, 400)[:, None]
+    volts = {"inputs": {"pump_voltage": "V"}, "outputs": {"level_voltage": "V"}}
+    train, test = (pg.record(part, np.sqrt(part), dt=3.9, **volts) for part in np.split(u, 2))
+    setup = set_up(physics, train, test, DiscoverySettings(), training_settings("pg_rssnn"), notify=print)
+
+    def heard(line):
+        raise InterruptedError(line)
+
+    with pytest.raises(InterruptedError, match="^free runs take longer, not compiled: no C.. compiler found"):
+        discover(setup, heard)
