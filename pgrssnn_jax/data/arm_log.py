@@ -139,7 +139,8 @@ def _record(
     real = np.arange(longest) < np.array([[len(one.position)] for one in found])
     inputs, outputs = channels(physics.inputs), channels(physics.outputs)
     origin = f"{Path(path).name}, sha256 {digest}…, {min(found, key=lambda one: one.kept).words}"
-    info = RecordInfo(inputs, outputs, physics.dt, "file", origin, padded=not real.all())
+    bandwidth = min((one.cutoff for one in found if one.cutoff is not None), default=None)
+    info = RecordInfo(inputs, outputs, physics.dt, "file", origin, padded=not real.all(), bandwidth=bandwidth)
     return record(u, y, info, np.broadcast_to(real[..., None], y.shape))
 
 

@@ -35,7 +35,8 @@ class RecordInfo:
     source: `file`, `download` or `simulated`; origin: where exactly, in words; padded: sequences of unequal length were
     filled up at their ends, after the last measured sample; begins: sample of the measured record at which it was cut;
     same_run: a validation record that is the training record with other samples measured (`splits.py`); start: what is
-    known of x_0: nothing, at rest (zero), or shared by the training and the test record; benchmark: its name, or empty.
+    known of x_0: nothing, at rest (zero), or shared by the training and the test record; benchmark: its name, or empty;
+    bandwidth: Hz, cut-off of the low-pass filter that the signals passed, None where none is known.
     """
 
     inputs: tuple[Channel, ...]
@@ -48,6 +49,7 @@ class RecordInfo:
     same_run: bool = False
     start: Start = "unknown"
     benchmark: str = ""
+    bandwidth: float | None = None
 
 
 class Record(NamedTuple):

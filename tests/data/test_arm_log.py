@@ -79,6 +79,7 @@ def test_motors_degrees_currents_and_a_coupled_wrist(tmp_path, three):
     test_at = DT * (len(y) + np.arange(splits.test.u.shape[2]))
     assert_inside(splits.test.y[0, 0], motion(test_at)[0], 1e-3)
     assert "500 Hz, low-pass filtered at 20 Hz" in splits.train.info.origin
+    assert splits.train.info.bandwidth == 20.0
 
 
 def test_link_side_torques_are_those_of_the_motors_times_the_gears(tmp_path, three):

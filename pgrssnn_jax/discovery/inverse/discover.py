@@ -208,8 +208,9 @@ def _floor(
     less that of the errors."""
     motion = train.motion
     signals = np.asarray(setup.estimation.u, np.float64), motion.torque - train.models["after"].torque
-    floor = np.minimum(*(spectrum_of(one, setup.physics.dt)[1] for one in signals))
-    of_torque = floor * 0.5 / setup.physics.dt  # torques are not filtered
+    dt, bandwidth = setup.physics.dt, setup.estimation.info.bandwidth
+    floor = np.minimum(*(spectrum_of(one, dt, bandwidth)[1] for one in signals))
+    of_torque = floor * min(0.5 / dt, bandwidth or np.inf)  # torques are not filtered here
     still = samples._replace(a=np.zeros_like(samples.a))
     inertial = ((model.errors(theta, samples) - model.errors(theta, still)) ** 2).mean(1)
     spectral = np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread

@@ -4,7 +4,8 @@
 
 Where nobody says a cut-off, it is the highest frequency at which the spectrum of a position is ten times its floor (the
 median of the upper fifth), the median over the joints: a derivative has the same ratio of signal to noise at every
-frequency. Torques stay as they were measured: their noise is no regressor.
+frequency. Of a record that was filtered the spectrum ends where the filter begins: behind it the floor is that of the
+filter. Torques stay as they were measured: their noise is no regressor.
 Source: Gautier, Vandanjon, Presse, Identification of inertial and drive gain parameters of robots, CDC 1994.
 """
 
@@ -19,12 +20,10 @@ from pgrssnn_jax.records.record import Record
 _RATIO = 10.0  # power of signal and noise over that of noise at the cut-off
 _FLOOR = 0.8  # of the highest frequency: above it a spectrum is taken for noise
 _OPEN = 0.8  # of the highest frequency: with a cut-off above it nothing is filtered
+_PASSED = 0.8  # of a filter's cut-off: up to it one of order 4 that passes twice leaves 73 % of the power
 _ORDER = 4
 _SPLINE = 3  # samples at an end where a spline of degree 5 is no better than its last knots
 _SMOOTHED = 5  # lines of a spectrum, so that a line by chance is none
-_SEGMENT = (
-    512  # samples of a spectrum, or half a record where that is longer: faster sampling shows no less of a motion
-)
 PerSample = Float[np.ndarray, "seq time n"]
 
 
@@ -60,7 +59,7 @@ def motion_of(
     y, u = np.asarray(record.y, np.float64), np.asarray(record.u, np.float64)
     if not np.asarray(record.mask).all():
         raise ValueError("discovery: inverse dynamics: expected all positions measured, found missing ones")
-    found, floor = spectrum_of(y, dt)
+    found, floor = spectrum_of(y, dt, record.info.bandwidth)
     chosen = found if cutoff is None else cutoff
     highest = 0.5 / dt
     filtered = filters(chosen, dt)
@@ -98,10 +97,12 @@ def few(motion: Motion, samples: int) -> Motion:
     return thinned(motion, max(1, motion.v.shape[0] * motion.v.shape[1] // samples))
 
 
-def spectrum_of(y: PerSample, dt: float) -> tuple[float, Float[np.ndarray, " n"]]:
+def spectrum_of(y: PerSample, dt: float, bandwidth: float | None = None) -> tuple[float, Float[np.ndarray, " n"]]:
     """The cut-off, Hz, and the floor of the spectra, rad²/Hz. Of whole sequences: parts of them would resolve a slow
-    motion the less, the faster it is sampled."""
+    motion the less, the faster it is sampled. bandwidth: of a filter that the record has passed, Hz."""
     f, power = scipy.signal.periodogram(y, 1 / dt, window="blackmanharris", axis=1, detrend="linear")
+    passed = f <= _PASSED * (np.inf if bandwidth is None else bandwidth)
+    f, power = f[passed], power[:, passed]
     power = scipy.ndimage.uniform_filter1d(power.mean(0), _SMOOTHED, axis=0, mode="nearest")
     floor = np.median(power[f > _FLOOR * f[-1]], axis=0)
     above = power > _RATIO * floor

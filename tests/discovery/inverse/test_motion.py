@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from arm_logs import DT, log, path
 
+from pgrssnn_jax.data.resample import Log, resampled
 from pgrssnn_jax.discovery.inverse.motion import motion_of, spectrum_of, thinned
 
 
@@ -45,6 +46,19 @@ def test_the_floor_of_a_spectrum_is_that_of_white_noise():
     y = 0.01 * np.random.default_rng(0).normal(size=(20, 1000, 2))
     _, floor = spectrum_of(y, DT)
     np.testing.assert_allclose(floor * 0.5 / DT, 1e-4, rtol=0.1)
+
+
+def test_the_floor_of_a_filtered_log_is_that_of_its_noise():
+    """A log at 1 kHz, of which every tenth sample is kept behind a filter that leaves nothing at the upper end."""
+    rng, rate, noise = np.random.default_rng(0), 1000.0, 1e-4
+    time = np.arange(60_000) / rate
+    position = np.sin(2 * np.pi * 0.4 * time)[:, None] + noise * rng.normal(size=(len(time), 2))
+    found = resampled(Log(time, position, position), 0.01, None, "log")
+    cutoff, floor = spectrum_of(found.position[None], 0.01, found.cutoff)
+    white = 2 * noise**2 / rate
+    assert (floor < 1.1 * white).all()
+    assert (floor > 0.6 * white).all()  # the filter takes up to a quarter, the median of few lines as much
+    assert cutoff < 1.0  # Hz; the motion has 0.4
 
 
 def test_thinned_motions_keep_every_nth_sample():
