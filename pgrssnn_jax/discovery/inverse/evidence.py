@@ -3,9 +3,8 @@
     e(θ) = u - û(θ; q, q̇, q̈)        motor torque, Nm; zero where the model is right (`arms/residual.py`)
 
 q, q̇, q̈ come from the record (`motion.py`): nothing is simulated, and e is linear in almost all that an arm may lack.
-Errors of one joint have one size while it moves and another while it stands still, where friction holds it against any
-torque within its reach. Where the noise hides which of both it does, and which way, only the samples in which it moves
-for certain count: friction of an unknown sign would look like less friction at low speed.
+Only the samples in which a joint moves for certain are evidence of its torque. At rest friction holds it against any
+torque within its reach, and the noise says which way: a fit to both would trade friction for what happens at rest.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -47,8 +46,7 @@ Errors = Float[np.ndarray, "n batch"]
 
 class Samples(NamedTuple):
     """Of all sequences end to end, each of `length` samples. torque: of the motors, Nm; block: those of one number are
-    left out together; moving: does the joint? counted: is the sample part of the evidence? slow: speed below which a
-    joint stands still, rad/s"""
+    left out together; moving: does the joint, for certain? slow: speed below which it may stand still, rad/s."""
 
     reading: Errors
     v: Errors
@@ -56,18 +54,12 @@ class Samples(NamedTuple):
     torque: Errors
     block: Int[np.ndarray, " batch"]
     moving: Bool[np.ndarray, "n batch"]
-    counted: Bool[np.ndarray, "n batch"]
     length: int
     slow: Float[np.ndarray, " n"]
 
     @property
     def blocks(self) -> int:
         return int(self.block.max()) + 1
-
-    def regimes(self, joint: int) -> list[Bool[np.ndarray, " batch"]]:
-        """Samples that count, moving and at rest, where there are any."""
-        moving, counted = self.moving[joint], self.counted[joint]
-        return [regime for regime in (moving & counted, ~moving & counted) if regime.any()]
 
 
 def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"], least: float = 0.0) -> Samples:
@@ -78,11 +70,8 @@ def samples_of(motion: Motion, fastest: Float[np.ndarray, " n"], least: float = 
     within = np.minimum(np.arange(time) * pieces // time, pieces - 1)
     blocks = (np.arange(sequences)[:, None] * pieces + within).ravel()
     reading, v, a, torque = (np.ascontiguousarray(one.reshape(-1, n).T) for one in motion[:4])
-    still = np.maximum(_STILL * fastest, least)
-    hidden = _CERTAIN * motion.unsure > still
-    slow = np.where(hidden, _CERTAIN * motion.unsure, still)
-    moving = np.abs(v) > slow[:, None]
-    return Samples(reading, v, a, torque, blocks, moving, moving | ~hidden[:, None], time, slow)
+    slow = np.maximum(np.maximum(_STILL * fastest, least), _CERTAIN * motion.unsure)
+    return Samples(reading, v, a, torque, blocks, np.abs(v) > slow[:, None], time, slow)
 
 
 def fastest_of(motion: Motion) -> Float[np.ndarray, " n"]:

@@ -2,15 +2,15 @@
 
     minimise  Σ (e(θ) / σ)² / κ  +  Σ ((θ - given) / prior)²
 
-σ: RMS error of a joint in a regime (moving, at rest), estimated with the fit; κ: samples over which errors remember, so
-that a sum counts what is independent in it. Score of two models: by how much the logarithm of the likelihood of blocks
-that had no part in the fit differs, with its standard error over the blocks.
+over the samples in which a joint moves. σ: its RMS error, estimated with the fit; κ: samples over which errors
+remember, so that a sum counts what is independent in it. Score of two models: by how much the logarithm of the
+likelihood of blocks that had no part in the fit differs, with its standard error over the blocks.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.discovery.bounded import step_within
 from pgrssnn_jax.discovery.inverse.evidence import Errors, Samples, Torques
@@ -69,26 +69,45 @@ def fitted(
 ) -> Fit:
     """remembered: κ of every joint."""
     at = Tangent(theta, places, *torques.linearised(theta, samples, places))
-    weight = regime_weight(at.error, samples, remembered)
+    weight = weight_of(at.error, samples, remembered)
+    straight = True
     for _ in range(_STEPS):
         step = _solved(torques.problem, at, *_sums(*_scaled(at, weight)))
+        theta, error, after = _shortened(torques, samples, at, step, weight)
         cost = _cost(torques, at.error, weight, at.theta)
-        for halved in range(_SHORTER):
-            theta = at.theta.copy()
-            theta[places] += step * 0.5**halved
-            error = torques.errors(theta, samples)
-            if (after := _cost(torques, error, weight, theta)) <= cost:
-                break
-        else:
-            theta, error, after = at.theta, at.error, cost
         bent = error - at.error_after(theta[places] - at.theta[places])
         linear = float((weight * bent**2).sum()) <= _STILL_FALLS * after
-        weight = regime_weight(error, samples, remembered)
+        weight, straight = weight_of(error, samples, remembered), straight and linear
         if linear or cost - after <= _STILL_FALLS * cost:
             at = Tangent(theta, places, error, at.derivatives)
             break
         at = Tangent(theta, places, *torques.linearised(theta, samples, places))
-    return linear_fit(torques, samples, at, weight, folds)
+    found = linear_fit(torques, samples, at, weight, folds)
+    return found if straight else found._replace(left_out=_left_out(torques, samples, at, weight, folds))
+
+
+def _shortened(
+    torques: Torques, samples: Samples, at: Tangent, step: Float[np.ndarray, " k"], weight: Errors
+) -> tuple[Float[np.ndarray, " p"], Errors, float]:
+    """θ, errors and cost after a step, halved until the cost does not rise."""
+    cost = _cost(torques, at.error, weight, at.theta)
+    for halved in range(_SHORTER):
+        theta = at.theta.copy()
+        theta[at.places] += step * 0.5**halved
+        error = torques.errors(theta, samples)
+        if (after := _cost(torques, error, weight, theta)) <= cost:
+            return theta, error, after
+    return at.theta, at.error, cost
+
+
+def _left_out(torques: Torques, samples: Samples, at: Tangent, weight: Errors, folds: int) -> Errors:
+    """Errors of every fold by the numbers without it, of a model that is not linear in them: where a fold holds most of
+    what the data say of a number, the step without it would leave the range of the tangent."""
+    left_out = np.empty_like(at.error)
+    for part, step in _steps_without(torques.problem, samples, at, weight, folds)[1]:
+        _, error, _ = _shortened(torques, samples, at, step, np.where(part, 0.0, weight))
+        left_out[:, part] = error[:, part]
+    return left_out
 
 
 def refitted(
@@ -101,24 +120,34 @@ def refitted(
 ) -> Fit:
     """`linear_fit` with weights by the errors that one step leaves."""
     error = at.error_after(_solved(torques.problem, at, *_sums(*_scaled(at, weight))))
-    return linear_fit(torques, samples, at, regime_weight(error, samples, remembered), folds)
+    return linear_fit(torques, samples, at, weight_of(error, samples, remembered), folds)
 
 
 def linear_fit(torques: Torques, samples: Samples, at: Tangent, weight: Errors, folds: int) -> Fit:
     """One step from θ, and the same without each fold; what is nonlinear in θ keeps its tangent."""
-    problem, fold_of = torques.problem, samples.block % folds
-    error, columns = _scaled(at, weight)
-    parts = [fold_of == fold for fold in range(folds)]
-    sums = [_sums(error[:, part], columns[..., part]) for part in parts]
-    whole = np.sum([normal for normal, _ in sums], axis=0), np.sum([pull for _, pull in sums], axis=0)
-    left_out = np.empty_like(error)
-    for part, (normal, pull) in zip(parts, sums, strict=True):
-        without = _solved(problem, at, whole[0] - normal, whole[1] - pull)
-        left_out[:, part] = at.error[:, part] + np.tensordot(without, at.derivatives[..., part], 1)
-    step = _solved(problem, at, *whole)
+    step, without = _steps_without(torques.problem, samples, at, weight, folds)
+    left_out = np.empty_like(at.error)
+    for part, other in without:
+        left_out[:, part] = at.error[:, part] + np.tensordot(other, at.derivatives[..., part], 1)
     theta = at.theta.copy()
     theta[at.places] += step
     return Fit(theta, at.places, at.error_after(step), at.derivatives, weight, left_out)
+
+
+def _steps_without(
+    problem: Problem, samples: Samples, at: Tangent, weight: Errors, folds: int
+) -> tuple[Float[np.ndarray, " k"], list[tuple[Bool[np.ndarray, " batch"], Float[np.ndarray, " k"]]]]:
+    """The step of all samples, and of every fold its samples and the step of the others."""
+    fold_of = samples.block % folds
+    error, columns = _scaled(at, weight)
+    parts = [fold_of == fold for fold in range(folds)]
+    sums = [_sums(error[:, part], columns[..., part]) for part in parts]
+    normal, pull = np.sum([one for one, _ in sums], axis=0), np.sum([other for _, other in sums], axis=0)
+    without = [
+        (part, _solved(problem, at, normal - own_normal, pull - own_pull))
+        for part, (own_normal, own_pull) in zip(parts, sums, strict=True)
+    ]
+    return _solved(problem, at, normal, pull), without
 
 
 def gain(before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]) -> Gain:
@@ -148,37 +177,34 @@ def _deviation(by_block: Float[np.ndarray, " block"]) -> float:
 def gains_by_block(
     before: Errors, after: Errors, samples: Samples, remembered: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n block"]:
-    """Of the samples in which a joint moves, if there are any: at rest, friction holds it against any torque within its
-    reach, and whatever asks for less torque there would seem to predict. σ of a joint is that of each model."""
+    """σ of a joint is that of each model."""
     by_block = np.zeros((len(remembered), samples.blocks))
-    for joint, kappa in enumerate(remembered):
-        for regime in samples.regimes(joint)[:1]:
-            one, other = (e[joint, regime] ** 2 for e in (before, after))
-            old, new = one.mean(), other.mean()
-            if not old > 0 or not new > 0:
-                continue
-            terms = np.log(old / new) + one / old - other / new
-            by_block[joint] += np.bincount(samples.block[regime], terms / (2 * kappa), samples.blocks)
+    for joint, (moving, kappa) in enumerate(zip(samples.moving, remembered, strict=True)):
+        one, other = (e[joint, moving] ** 2 for e in (before, after))
+        if not (one.any() and other.any()):
+            continue
+        old, new = one.mean(), other.mean()
+        terms = np.log(old / new) + one / old - other / new
+        by_block[joint] = np.bincount(samples.block[moving], terms / (2 * kappa), samples.blocks)
     return by_block
 
 
 def remembered(error: Errors, samples: Samples) -> Float[np.ndarray, " n"]:
     """κ: samples over which the errors of each joint remember, at least 1."""
-    scaled = (error / _sigma(error, samples)).reshape(len(error), -1, samples.length)
+    scaled = (samples.moving * error / _sigma(error, samples)).reshape(len(error), -1, samples.length)
     return np.array([max(1.0, correlation_time(autoregression(one))) for one in scaled])
 
 
-def _sigma(error: Errors, samples: Samples) -> Errors:
-    """σ of every sample."""
-    found = np.ones_like(error)
-    for joint, one in enumerate(error):
-        for regime in samples.regimes(joint):
-            found[joint, regime] = np.sqrt(np.mean(one[regime] ** 2))
-    return np.maximum(found, _LEAST * found.max())
+def _sigma(error: Errors, samples: Samples) -> Float[np.ndarray, "n 1"]:
+    """σ of every joint; any where it never moves."""
+    count = samples.moving.sum(1, keepdims=True)
+    found = np.sqrt((samples.moving * error**2).sum(1, keepdims=True) / np.maximum(count, 1))
+    largest = found.max() or 1.0
+    return np.where(count > 0, np.maximum(found, _LEAST * largest), largest)
 
 
-def regime_weight(error: Errors, samples: Samples, kappa: Float[np.ndarray, " n"]) -> Errors:
-    return samples.counted / (_sigma(error, samples) ** 2 * kappa[:, None])
+def weight_of(error: Errors, samples: Samples, kappa: Float[np.ndarray, " n"]) -> Errors:
+    return samples.moving / (_sigma(error, samples) ** 2 * kappa[:, None])
 
 
 def _cost(torques: Torques, error: Errors, weight: Errors, theta: np.ndarray) -> float:

@@ -62,12 +62,12 @@ def best_reading(search: Search, best: Tried, record: Record, motion: Motion, *,
         """Samples, of which the fast ones count, and their left-out errors."""
         samples = samples_of(few(reading.of(record), count), fastest)
         fast = np.abs(samples.v) > FAST * fastest[:, None]
-        samples = samples._replace(moving=fast, counted=fast)
+        samples = samples._replace(moving=fast)
         return samples, search._replace(samples=samples).linear(theta, active).left_out
 
     def missed(reading: Reading) -> float:
         samples, left_out = tried(reading, COARSE)
-        joints = zip(left_out, samples.counted, strict=True)
+        joints = zip(left_out, samples.moving, strict=True)
         return float(np.mean([np.log(np.mean(error[among] ** 2)) for error, among in joints]))
 
     unfiltered = 1.0 / dt
@@ -81,8 +81,8 @@ def best_reading(search: Search, best: Tried, record: Record, motion: Motion, *,
 
     def better(shift: float) -> Gain:
         others, errors = tried(found._replace(shift=shift), _FINE)
-        both = samples.counted & others.counted
-        return gain(left_out, errors, samples._replace(moving=both, counted=both), search.kappa)
+        both = samples.moving & others.moving
+        return gain(left_out, errors, samples._replace(moving=both), search.kappa)
 
     gains = {shift: better(shift) for shift in _SHIFTS if shift != _HELD}
     clear = {shift: one.value for shift, one in gains.items() if one.clear(_CLEAR)}

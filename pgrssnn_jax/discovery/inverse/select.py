@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques
-from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, Tangent, fitted, gain, refitted, regime_weight, remembered
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, Tangent, fitted, gain, refitted, remembered, weight_of
 from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, span_of
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.settings import Criteria
@@ -83,7 +83,7 @@ class Search(NamedTuple):
         places = self.places(active)
         error, found = self.torques.linearised(theta, self.samples, places if derivatives is None else places[:0])
         at = Tangent(theta, places, error, found if derivatives is None else derivatives)
-        weight = regime_weight(error, self.samples, self.kappa)
+        weight = weight_of(error, self.samples, self.kappa)
         return refitted(self.torques, self.samples, at, weight, self.kappa, self.folds)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pgrssnn_jax.discovery.inverse.evidence import Samples, Torques
-from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, Tangent, gain, refitted, regime_weight
+from pgrssnn_jax.discovery.inverse.fit import Fit, Gain, Tangent, gain, refitted, weight_of
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.effects.base import SignalRange
 
@@ -77,7 +77,7 @@ def best_structures(
             at = problem.put(at, name, numbers)
         inside = replace(torques, problem=_either_way(near(problem, structure)))
         tangent = Tangent(at, places, *torques.linearised(at, samples, places))
-        weight = regime_weight(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
+        weight = weight_of(samples.torque - samples.torque.mean(1, keepdims=True), samples, kappa)
         return refitted(inside, samples, tangent, weight, kappa, folds)
 
     none = Structure((0.0, 0.0), (0.0,) * n)

@@ -35,7 +35,7 @@ def unnamed(search: Search, chosen: Chosen) -> Unnamed | None:
     samples, named = search.samples, chosen.final.fit.left_out
     smooth = named.copy()
     for joint, error in enumerate(chosen.recalibrated.left_out):
-        moving = samples.moving[joint] & samples.counted[joint]
+        moving = samples.moving[joint]
         if moving.sum() > _FEATURES:
             smooth[joint, moving] = _left_out(samples, joint, moving, error[moving], search.folds)
     gains = joint_gains(named, smooth, samples, chosen.kappa)
