@@ -73,7 +73,7 @@ def run_case(plan: Plan, problems: list[tuple[Problem, Corrected]], case: Case |
     that of the plan."""
     case = case or suite.build(plan)
     setup = setup_of(case, plan.removed)
-    if (motion := motion_evidence(setup)) is not None:
+    if (motion := motion_evidence(setup, lambda line: None)) is not None:
         return _by_torques(plan, case, setup, motion)
     if plan.in_other_units or not problems:  # units are part of the program
         problems.clear()

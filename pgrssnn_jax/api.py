@@ -175,13 +175,13 @@ def discover(
         physics, train, test, chosen, training,
         effects=effects, validation=validation, realisation=realisation, notify=say,
     )  # fmt: skip
-    return discovered(setup, check_setup(setup), say, threading.Event(), command="pg.discover")
+    return discovered(setup, check_setup(setup, say), say, threading.Event(), command="pg.discover")
 
 
-def check_setup(setup: Setup) -> Motion | None:
+def check_setup(setup: Setup, notify: Callable[[str], None]) -> Motion | None:
     """The motion of an arm whose torques are the evidence, None where free runs are. Raises `ValueError` for what could
     turn out to be bad input during a discovery: a model need not run to be asked for its torques."""
-    motion = motion_evidence(setup)
+    motion = motion_evidence(setup, notify)
     if motion is None:
         check_physics(setup)
         if setup.settings.network_epochs:

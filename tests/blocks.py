@@ -138,7 +138,7 @@ def _small_discovery(discover: Callable[..., Any]) -> Callable[..., Any]:
     def small(physics: pg.Physics, train: Record, test: Record, **named: Any) -> Any:
         if system_of(physics) == "arm":
             setup = set_up(physics, train, test, DiscoverySettings(), training_settings("pg_rssnn"), notify=print)
-            check_setup(setup)
+            check_setup(setup, print)
             return SimpleNamespace(physics=physics)
         return discover(physics, train, test, **{**named, **_CHEAP}, quiet=True)
 

@@ -56,7 +56,7 @@ def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> tuple[S
         physics, train, test, settings, settings_from_config(config),
         effects=own_effects(settings.effects, physics), notify=notify,
     )  # fmt: skip
-    return setup, check_setup(setup)
+    return setup, check_setup(setup, notify)
 
 
 def discovery_run(

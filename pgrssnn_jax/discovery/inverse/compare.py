@@ -28,6 +28,11 @@ class Stage(NamedTuple):
     def error(self) -> float:
         return float(self.nrmse[0].mean())
 
+    @property
+    def moving(self) -> float:
+        """Mean over the joints that move; at rest friction holds them against any torque within its reach."""
+        return float(np.nanmean(self.nrmse[1]))
+
 
 class Compared(NamedTuple):
     """The models on one record. gains: of the final model over each, in the log-likelihood; improvement: 95 % interval

@@ -72,10 +72,10 @@ class Found(NamedTuple):
     seconds: Mapping[str, float]
 
 
-def motion_evidence(setup: Setup) -> Motion | None:
+def motion_evidence(setup: Setup, notify: Callable[[str], None]) -> Motion | None:
     """The motion of the estimation record, where inverse dynamics can be the evidence: of an arm all of whose positions
     were measured, in records much longer than what a filter cannot see at their ends, with accelerations that stand out
-    of their noise. None where they cannot."""
+    of their noise. None where they cannot, which is said of an arm."""
     wanted = setup.settings.evidence
     if setup.physics.settings.get("form") == "filter":
         raise ValueError("physics.form: expected forward in a discovery, found filter")
@@ -88,10 +88,14 @@ def motion_evidence(setup: Setup) -> Motion | None:
         if min(record.y.shape[1] for record in (setup.estimation, setup.test)) < _ENDS * lost:
             reason = f"records much longer than the {lost} samples that a filter loses at their ends"
         elif wanted == "auto" and not (motion.noise < NOISIEST).all():
-            return None
-    if reason is not None and wanted != "auto":
+            joints = ", ".join(str(joint + 1) for joint in np.flatnonzero(~(motion.noise < NOISIEST)))
+            reason = f"accelerations ten times their noise (joints {joints} have less)"
+    if reason is None:
+        return motion
+    if wanted != "auto":
         raise ValueError(f"discovery.evidence: inverse_dynamics: expected {reason}, found other data")
-    return motion if reason is None else None
+    notify(f"evidence: simulated runs, because torques need {reason}")
+    return None
 
 
 def _unfit(setup: Setup) -> str | None:
@@ -237,8 +241,7 @@ def _verdict(
             return Verdict.NOT_CONFIRMED
         ambiguous = set(active) & STRUCTURE and rival_structures(selection)
         return Verdict.AMBIGUOUS if ambiguous else Verdict.EFFECT_FOUND
-    moving = float(np.nanmean(train.models["recalibrated"].nrmse[1]))
-    if moving > criteria.clear * floor:  # at rest friction holds against any torque within its reach
+    if train.models["recalibrated"].moving > criteria.clear * floor:
         return Verdict.UNEXPLAINED
     return Verdict.MISCALIBRATED if before > criteria.shifted * recalibrated else Verdict.NO_DISCREPANCY
 

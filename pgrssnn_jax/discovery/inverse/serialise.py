@@ -91,6 +91,7 @@ def _gap(found: Found) -> dict[str, Any]:
         "improvement_interval": list(found.test.improvement),
         "likelihood_gain": {"value": found.gain.value, "std_error": found.gain.error},
         "pooled": {stage: _pooled(found.test, stage) for stage in stages},
+        "moving": {stage: found.test.models[stage].moving for stage in stages},
         "n_init": 0,
         "floor": found.floor,
         "closed_fraction": closed,
@@ -234,7 +235,8 @@ def _numbers(found: Found) -> dict[str, Any]:
 
 
 def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]]) -> str:
-    before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
+    stages = ("before", "recalibrated", "after")
+    before, fitted, after = (gap[name]["test"] for name in stages)
     errors = f"test torque NRMSE {before:.3g} nominal, {fitted:.3g} recalibrated"
     if found.verdict is Verdict.NO_DISCREPANCY:
         return f"Nothing is missing: {errors}, noise about {gap['floor']:.2g}."
@@ -251,8 +253,8 @@ def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]
     if found.verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {shown}. {left}"
     others = " (other structures predict as well)" if found.verdict is Verdict.AMBIGUOUS else ""
-    share = 100 * min(gap["closed_fraction"], 1.0)
-    return f"Missing: {titles}{others}; {shown} ({share:.0f} % of the gap above the noise closed). {left}"
+    moving = ", ".join(f"{gap['moving'][name]:.3g}" for name in stages)
+    return f"Missing: {titles}{others}; {shown}; while joints move {moving}. {left}"
 
 
 def _nameless(found: Found) -> str:

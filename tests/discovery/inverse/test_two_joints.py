@@ -1,12 +1,17 @@
 """The whole way on an arm of two joints, from arrays to the description of the corrected robot."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import pgrssnn_jax as pg
+from pgrssnn_jax.discovery.inverse.discover import motion_evidence
+from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.setup import set_up
+from pgrssnn_jax.training.settings import training_settings
 
 DT, BIAS = 0.05, 6.0  # s, Nm
 FEW = {"torque_bias", "torque_gain", "viscous_friction", "payload"}
@@ -52,6 +57,18 @@ def recorded(description, seed, sequences, noise=1e-4):
 
 def others(crane):
     return sorted({effect.name for effect in pg.effects.catalogue(crane)} - FEW)
+
+
+def test_arms_with_noisy_positions_are_simulated_and_a_line_says_so(description):
+    crane, said = pg.physics.arm(urdf=description, dt=DT), list[str]()
+    records = recorded(description, 0, 6, noise=0.1), recorded(description, 1, 3, noise=0.1)
+    setup = set_up(crane, *records, DiscoverySettings(), training_settings("pg_rssnn"), notify=said.append)
+    said.clear()
+    assert motion_evidence(setup, said.append) is None
+    need = "accelerations ten times their noise (joints 1, 2 have less)"
+    assert said == [f"evidence: simulated runs, because torques need {need}"]
+    forced = setup._replace(settings=replace(setup.settings, evidence="inverse_dynamics"))
+    assert motion_evidence(forced, said.append) is not None
 
 
 @pytest.mark.slow
