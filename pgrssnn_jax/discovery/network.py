@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.effects.stored import OF_TRAINING, stored_physics
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import take
@@ -33,9 +33,12 @@ def plan_network(setup: Setup, found: Mapping[str, Any] | None) -> tuple[Plan, M
     physics: Physics = setup.physics.variant(**kept)
     if found is not None:
         physics = stored_physics(physics, found, where="discovery", extra=setup.effects)
+    # the first output is no start of a physics whose sensor has an offset, or whose effects remember
+    estimated = setup.start is Start.UNKNOWN and chosen.run.initial_state == "first_output" and physics.differentiable
     settings = chosen._replace(
         model=replace(chosen.model, start_from_physics=True),
         fit=replace(chosen.fit, epochs=setup.settings.network_epochs),
+        run=replace(chosen.run, initial_state="estimated") if estimated else chosen.run,
     )
     plan = plan_training(physics, setup.train, settings, validation=setup.validation)
     wanted = settings.run.report_n_init

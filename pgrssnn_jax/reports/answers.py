@@ -53,10 +53,11 @@ def _certainty(discovery: Discovery) -> Iterator[str]:
         yield f"Share of the gap closed on test data: {', '.join(closed)}."
     for effect in effects if len(effects) <= _FEW else ():
         if runner := effect.get("runner_up"):
-            yield f"In place of {effect['name']}, {runner['name']} would close {percent(runner.get('gain'))}."
+            gain = percent(runner.get("gain"))
+            yield f"In place of {effect['name']}, {runner['name']} would close {gain} on the estimation record."
     gap, (metric, unit) = discovery.get("gap") or {}, facts.gap_metric(discovery)
     low, high = map(facts.real, gap.get("improvement_interval") or (None, None))
-    if math.isfinite(low + high):
+    if effects and math.isfinite(low + high):
         yield f"The test {metric} falls by {number(low)} to {number(high, unit)} (95 %) below the recalibrated physics."
     gain = gap.get("likelihood_gain") or {}
     value, error = map(facts.real, (gain.get("value"), gain.get("std_error")))
@@ -72,12 +73,14 @@ def _open(discovery: Discovery) -> Iterator[str]:
     gap, (metric, unit) = discovery.get("gap") or {}, facts.gap_metric(discovery)
     after, floor = facts.real((gap.get("after") or {}).get("test")), facts.real(gap.get("floor"))
     share, where = gap.get("open_fraction"), (discovery.get("remaining") or {}).get("rule")
-    if share is not None:
+    effects = discovery.get("effects")
+    if share is not None and effects:
         yield f"{percent(max(share, 0.0))} of the gap between recalibrated physics and noise."
     if math.isfinite(after):
         noise = f"; the noise is about {number(floor, unit)}" if math.isfinite(floor) else ""
-        yield f"Test {metric} {number(after, unit)} with the discovered effects{noise}."
-    if where:
+        model = "with the discovered effects" if effects else "recalibrated"
+        yield f"Test {metric} {number(after, unit)} {model}{noise}."
+    if where and not after <= floor:
         yield f"Most of it: {where}."
 
 
