@@ -190,8 +190,11 @@ def gains_by_block(
 
 
 def remembered(error: Errors, samples: Samples) -> Float[np.ndarray, " n"]:
-    """κ: samples over which the errors of each joint remember, at least 1."""
-    scaled = (samples.moving * error / _sigma(error, samples)).reshape(len(error), -1, samples.length)
+    """κ: samples over which the errors of each joint remember, at least 1. Those at rest count in their own size:
+    gaps would cut the memory short."""
+    still = samples._replace(moving=~samples.moving)
+    sigma = np.where(samples.moving, _sigma(error, samples), _sigma(error, still))
+    scaled = (error / sigma).reshape(len(error), -1, samples.length)
     return np.array([max(1.0, correlation_time(autoregression(one))) for one in scaled])
 
 
