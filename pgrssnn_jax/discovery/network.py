@@ -20,6 +20,7 @@ from pgrssnn_jax.training.evaluation import predict, trained_members
 from pgrssnn_jax.training.loop import train
 from pgrssnn_jax.training.metrics import nrmse, rmse
 from pgrssnn_jax.training.plan import MemberTests, Plan, member_tests, plan_training
+from pgrssnn_jax.training.settings import RunSettings
 from pgrssnn_jax.training.shares import network_share
 from pgrssnn_jax.training.train import first_checkpoint
 
@@ -33,16 +34,23 @@ def plan_network(setup: Setup, found: Mapping[str, Any] | None) -> tuple[Plan, M
     physics: Physics = setup.physics.variant(**kept)
     if found is not None:
         physics = stored_physics(physics, found, where="discovery", extra=setup.effects)
-    # the first output is no start of a physics whose sensor has an offset, or whose effects remember
-    estimated = setup.start is Start.UNKNOWN and chosen.run.initial_state == "first_output" and physics.differentiable
     settings = chosen._replace(
         model=replace(chosen.model, start_from_physics=True),
         fit=replace(chosen.fit, epochs=setup.settings.network_epochs),
-        run=replace(chosen.run, initial_state="estimated") if estimated else chosen.run,
+        run=_started(setup, chosen.run) if physics.differentiable else chosen.run,
     )
     plan = plan_training(physics, setup.train, settings, validation=setup.validation)
     wanted = settings.run.report_n_init
     return plan, member_tests(plan.fit.objective, plan.members, plan.units, wanted, setup.test)
+
+
+def _started(setup: Setup, chosen: RunSettings) -> RunSettings:
+    """The first output is no initial state where a sensor has an offset or an effect has memory. Where nothing is known
+    of it, it is estimated from the first samples, at most half of the shortest record."""
+    if setup.start is not Start.UNKNOWN or chosen.initial_state != "first_output":
+        return chosen
+    shortest = min(record.u.shape[-2] for record in (setup.train, setup.validation, setup.test))
+    return replace(chosen, initial_state="estimated", n_init=min(chosen.n_init, shortest // 2))
 
 
 def network_shares(

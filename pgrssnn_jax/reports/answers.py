@@ -74,7 +74,7 @@ def _open(discovery: Discovery) -> Iterator[str]:
     after, floor = facts.real((gap.get("after") or {}).get("test")), facts.real(gap.get("floor"))
     share, where = gap.get("open_fraction"), (discovery.get("remaining") or {}).get("rule")
     effects = discovery.get("effects")
-    if share is not None and effects:
+    if share is not None and discovery["verdict"] not in ("no_discrepancy", "miscalibrated"):
         yield f"{percent(max(share, 0.0))} of the gap between recalibrated physics and noise."
     if math.isfinite(after):
         noise = f"; the noise is about {number(floor, unit)}" if math.isfinite(floor) else ""

@@ -71,3 +71,18 @@ def test_unexplained_errors_ask_for_samples_where_they_are_known_to_be(region, s
     lines = answers(told)["What to measure next?"]
     assert ("More samples where the errors are: level." in lines) == said
     assert any("tell them apart" in line for line in lines) != said
+
+
+def test_a_page_without_an_effect_says_nothing_of_effects_or_of_a_gap():
+    gap = {"metric": "NRMSE", "unit": "", "open_fraction": 1.0, "improvement_interval": [0.0, 0.0], "floor": 0.0101}
+    found = {"verdict": "no_discrepancy", "effects": [], "gap": {**gap, "after": {"test": 0.0099}}}
+    told = answers({**found, "remaining": {"rule": "level above 9.4 cm"}})
+    assert told["What stays open, and where?"] == ["Test NRMSE 0.009900 recalibrated; the noise is about 0.01010."]
+    assert not any("falls" in sentence for sentence in told["How sure is it?"])
+
+
+def test_errors_that_nothing_explains_are_an_open_gap():
+    gap = {"metric": "NRMSE", "unit": "", "open_fraction": 1.0, "floor": 0.01, "after": {"test": 0.05}}
+    told = answers({"verdict": "unexplained", "effects": [], "gap": gap, "remaining": {"rule": "level above 9.4 cm"}})
+    assert told["What stays open, and where?"][0].startswith("100 %")
+    assert told["What stays open, and where?"][-1] == "Most of it: level above 9.4 cm."

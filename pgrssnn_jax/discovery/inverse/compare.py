@@ -30,8 +30,9 @@ class Stage(NamedTuple):
 
     @property
     def moving(self) -> float:
-        """Mean over the joints that move; at rest friction holds them against any torque within its reach."""
-        return float(np.nanmean(self.nrmse[1]))
+        """Mean over the joints that move, NaN where none does."""
+        known = self.nrmse[1][np.isfinite(self.nrmse[1])]
+        return float(known.mean()) if known.size else np.nan
 
 
 class Compared(NamedTuple):

@@ -75,7 +75,7 @@ class Found(NamedTuple):
 def motion_evidence(setup: Setup, notify: Callable[[str], None]) -> Motion | None:
     """The motion of the estimation record, where inverse dynamics can be the evidence: of an arm all of whose positions
     were measured, in records much longer than what a filter cannot see at their ends, with accelerations that stand out
-    of their noise. None where they cannot, which is said of an arm."""
+    of their noise. Otherwise None; for an arm `notify` gets the reason."""
     wanted = setup.settings.evidence
     if setup.physics.settings.get("form") == "filter":
         raise ValueError("physics.form: expected forward in a discovery, found filter")

@@ -73,8 +73,8 @@ def fitted(
     straight = True
     for _ in range(_STEPS):
         step = _solved(torques.problem, at, *_sums(*_scaled(at, weight)))
-        theta, error, after = _shortened(torques, samples, at, step, weight)
         cost = _cost(torques, at.error, weight, at.theta)
+        theta, error, after = _shortened(torques, samples, at, step, weight, cost)
         bent = error - at.error_after(theta[places] - at.theta[places])
         linear = float((weight * bent**2).sum()) <= _STILL_FALLS * after
         weight, straight = weight_of(error, samples, remembered), straight and linear
@@ -87,10 +87,9 @@ def fitted(
 
 
 def _shortened(
-    torques: Torques, samples: Samples, at: Tangent, step: Float[np.ndarray, " k"], weight: Errors
+    torques: Torques, samples: Samples, at: Tangent, step: Float[np.ndarray, " k"], weight: Errors, cost: float
 ) -> tuple[Float[np.ndarray, " p"], Errors, float]:
-    """θ, errors and cost after a step, halved until the cost does not rise."""
-    cost = _cost(torques, at.error, weight, at.theta)
+    """θ, errors and cost after a step, halved until the cost does not exceed the given one."""
     for halved in range(_SHORTER):
         theta = at.theta.copy()
         theta[at.places] += step * 0.5**halved
@@ -101,11 +100,13 @@ def _shortened(
 
 
 def _left_out(torques: Torques, samples: Samples, at: Tangent, weight: Errors, folds: int) -> Errors:
-    """Errors of every fold by the numbers without it, of a model that is not linear in them: where a fold holds most of
-    what the data say of a number, the step without it would leave the range of the tangent."""
+    """Errors of every fold by the parameters of a fit without it, for a model that is not linear in them. Where one
+    fold determines a parameter, the full step of the others would leave the range in which the tangent holds."""
     left_out = np.empty_like(at.error)
     for part, step in _steps_without(torques.problem, samples, at, weight, folds)[1]:
-        _, error, _ = _shortened(torques, samples, at, step, np.where(part, 0.0, weight))
+        others = np.where(part, 0.0, weight)
+        cost = _cost(torques, at.error, others, at.theta)
+        _, error, _ = _shortened(torques, samples, at, step, others, cost)
         left_out[:, part] = error[:, part]
     return left_out
 
@@ -190,8 +191,8 @@ def gains_by_block(
 
 
 def remembered(error: Errors, samples: Samples) -> Float[np.ndarray, " n"]:
-    """κ: samples over which the errors of each joint remember, at least 1. Those at rest count in their own size:
-    gaps would cut the memory short."""
+    """κ: samples over which the errors of each joint remember, at least 1. Those at rest count relative to
+    their own RMS: gaps in the record would bias the estimate."""
     still = samples._replace(moving=~samples.moving)
     sigma = np.where(samples.moving, _sigma(error, samples), _sigma(error, still))
     scaled = (error / sigma).reshape(len(error), -1, samples.length)

@@ -253,8 +253,9 @@ def _sentence(found: Found, gap: Mapping[str, Any], effects: list[dict[str, Any]
     if found.verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {shown}. {left}"
     others = " (other structures predict as well)" if found.verdict is Verdict.AMBIGUOUS else ""
-    moving = ", ".join(f"{gap['moving'][name]:.3g}" for name in stages)
-    return f"Missing: {titles}{others}; {shown}; while joints move {moving}. {left}"
+    before, fitted, after = (gap["moving"][name] for name in stages)
+    moving = f"while joints move {before:.3g} nominal, {fitted:.3g} recalibrated, {after:.3g} with it"
+    return f"Missing: {titles}{others}; {shown}; {moving}. {left}"
 
 
 def _nameless(found: Found) -> str:
