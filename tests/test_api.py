@@ -113,7 +113,8 @@ def test_an_interval_surrounds_the_mean_and_is_kept_in_the_folder(ensemble, benc
     again = pg.load(tmp_path / "run").simulate(test.u, interval=0.9)
     np.testing.assert_allclose(again.high, wide.high, rtol=1e-6)
     file = tmp_path / "run" / "intervals.npz"
-    kept = dict(np.load(file))
+    with np.load(file) as stored:
+        kept = dict(stored)
     np.savez(file, **{name: array for name, array in kept.items() if name not in ("mean", "covariance")})
     earlier = pg.load(tmp_path / "run").simulate(test.u, interval=0.9)  # runs of versions without these
     assert (earlier.high <= wide.high).all()
