@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import scipy
 
+from pgrssnn_jax.discovery.candidates import Model
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.locate import box, intervals
-from pgrssnn_jax.discovery.problem import Signals
+from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.places import LEVEL, VELOCITY, levels, velocities
 from pgrssnn_jax.physics.base import Physics
@@ -33,17 +34,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
     said: dict[str, Any] = {
         **described(effect),
         "channel_names": _channel_names(problem.physics, effect),
-        "parameters": {
-            key: {
-                "value": np.asarray(numbers[key]).tolist(),
-                "std": np.asarray(std[key]).tolist(),
-                "interval": interval(numbers[key], std[key], final.freedom),
-                "unit": meaning.unit,
-                "symbol": meaning.symbol,
-                "at_bound": at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
-            }
-            for key, meaning in effect.parameters.items()
-        },
+        "parameters": fitted(problem, final, name),
         "region": _region(found, acting),
         "active_fraction": float(acting.sum() / within_record(found.signals).sum()),
         **when(acting, problem.physics.dt),
@@ -56,6 +47,23 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
     if effect.channels == "joint":
         said["joints"] = _joints(effect, numbers, std)
     return said
+
+
+def fitted(problem: Problem, model: Model, name: str) -> dict[str, Any]:
+    """The numbers of an effect in a model."""
+    effect = problem.effect(name)
+    numbers, std = (problem.params(one).effects[name] for one in (model.estimate.theta, model.deviation))
+    return {
+        key: {
+            "value": np.asarray(numbers[key]).tolist(),
+            "std": np.asarray(std[key]).tolist(),
+            "interval": interval(numbers[key], std[key], model.freedom),
+            "unit": meaning.unit,
+            "symbol": meaning.symbol,
+            "at_bound": at_bound(numbers[key], meaning.bounds, meaning.neutral).tolist(),
+        }
+        for key, meaning in effect.parameters.items()
+    }
 
 
 def described(effect: Effect) -> dict[str, Any]:

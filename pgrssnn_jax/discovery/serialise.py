@@ -11,6 +11,7 @@ from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import (
     closed_on_test,
     finding,
+    fitted,
     floor,
     when,
     within_record,
@@ -26,8 +27,10 @@ from pgrssnn_jax.discovery.serialise_numbers import (
     parameters,
     recalibration,
 )
+from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.untestable import untestable
+from pgrssnn_jax.discovery.verdict import Verdict
 from pgrssnn_jax.effects.stored import physics_to_json
 
 
@@ -83,6 +86,7 @@ def _gap(found: Discovery) -> dict[str, Any]:
     test, train = found.test.models, found.train.models
     error = {name: {"train": train[name].error, "test": test[name].error} for name in test}
     closed = closed_on_test(found, test["recalibrated"].error, test["after"].error)
+    missing = found.judgement.verdict not in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
     return {
         "metric": found.test.metric.name,
         "unit": found.test.metric.unit,
@@ -91,8 +95,8 @@ def _gap(found: Discovery) -> dict[str, Any]:
         "improvement_interval": list(found.test.improvement),
         "n_init": found.test.metric.n_init,
         "floor": floor(found),
-        "closed_fraction": closed,
-        "open_fraction": 1.0 - closed,
+        "closed_fraction": closed if missing else 0.0,
+        "open_fraction": 1.0 - closed if missing else 0.0,
     }
 
 
@@ -132,6 +136,7 @@ def _alternatives(found: Discovery) -> list[dict[str, Any]]:
                     "name": other.name,
                     "instead_of": name,
                     "gain": float(_energy(found.selection.screenings[name], other.gain)),
+                    "parameters": fitted(found.problem, other.model, other.name) if other.model else {},
                     "experiment": _experiment(found.problem, name, other.name),
                 }
             )
@@ -198,6 +203,9 @@ def remaining(found: Discovery) -> dict[str, Any]:
     error = np.where(signals.weight > 0, signals.weight * (signals.y - found.train.after.y), 0.0)
     values = np.concatenate([found.train.after.x[..., : len(physics.states)], signals.u], -1)
     energy = np.nan_to_num(error**2).sum(-1)
+    selection = found.selection
+    if selection.last.rms(selection.final) <= Criteria().above * selection.floor:
+        return _boxed(Box({}, "everywhere: no more than the noise", 1.0, 1.0))
     return _boxed(box(energy[within], values[within], (*physics.states, *physics.inputs)))
 
 

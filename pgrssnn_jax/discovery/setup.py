@@ -9,10 +9,12 @@ import numpy as np
 
 from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.steps import with_short_steps
 from pgrssnn_jax.discovery.stretches import check_stretches
 from pgrssnn_jax.effects.base import Effect, own_of
 from pgrssnn_jax.effects.systems import catalogue, system_of
 from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.check import of_library
 from pgrssnn_jax.records.matching import matched
 from pgrssnn_jax.records.record import Record, join, take
 from pgrssnn_jax.records.splits import by_dataset, estimation_parts
@@ -99,6 +101,8 @@ def set_up(
         notify(f"discovery looks at realisation {realisation} of {count}")
     one, aside, tested = (take(record, min(realisation, len(record.u) - 1)) for record in records)
     estimation = join(one, aside)
+    if "sub_steps" in physics.settings and "sub_steps" not in settings.replace and not of_library(physics):
+        physics = with_short_steps(physics, estimation, notify)
     stretches, fixed = _stretches(settings.stretches, physics, estimation), _fixed(settings.fixed, physics)
     block = _block(settings, estimation) if not stretches else settings.block
     settings = replace(settings, stretches=stretches, fixed=fixed, block=block)

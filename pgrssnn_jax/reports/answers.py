@@ -80,7 +80,7 @@ def _open(discovery: Discovery) -> Iterator[str]:
         noise = f"; the noise is about {number(floor, unit)}" if math.isfinite(floor) else ""
         model = "with the discovered effects" if effects else "recalibrated"
         yield f"Test {metric} {number(after, unit)} {model}{noise}."
-    if where and not after <= floor:
+    if where and not where.startswith("everywhere") and not after <= floor:
         yield f"Most of it: {where}."
 
 

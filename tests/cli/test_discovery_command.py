@@ -108,6 +108,8 @@ def test_a_saturation_is_found_in_stretches_too(tmp_path):
     said = json.loads(json.dumps(discovery_json(found, setup, command="")))
     assert set(said) >= KEYS
     assert [effect["name"] for effect in said["effects"]] == ["input_saturation"]
+    assert said["remaining"]["rule"] == "everywhere: no more than the noise"
+    assert said["remaining"]["region"] == {}
 
 
 @pytest.mark.compiles

@@ -9,6 +9,7 @@ from discovery.small_cases import choices, discovered, fine_tanks, pump, setup_o
 import pgrssnn_jax as pg
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery, discover_in
+from pgrssnn_jax.discovery.finding import fitted
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.untestable import untestable
@@ -123,6 +124,10 @@ def test_offsets_before_and_behind_a_linear_system_are_ambiguous():
     (named,) = found.selection.final.estimate.active
     (others,) = found.judgement.alternatives.values()
     assert {named, *(other.name for other in others)} == {"sensor_offset", "input_offset"}
+    (other,) = others
+    assert other.model is not None
+    (number,) = fitted(found.problem, other.model, other.name).values()
+    assert np.all(np.abs(number["value"]) > 5.0 * np.array(number["std"]))  # offsets of the input and the output differ
 
 
 def test_a_gain_that_a_matrix_takes_up_is_untestable():

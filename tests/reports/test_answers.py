@@ -81,6 +81,11 @@ def test_a_page_without_an_effect_says_nothing_of_effects_or_of_a_gap():
     assert not any("falls" in sentence for sentence in told["How sure is it?"])
 
 
+def test_errors_that_are_everywhere_alike_have_no_place():
+    told = answers(TANK[0] | {"remaining": {"rule": "everywhere: no more than the noise", "region": {}}})
+    assert not any("Most of it" in line for line in told["What stays open, and where?"])
+
+
 def test_errors_that_nothing_explains_are_an_open_gap():
     gap = {"metric": "NRMSE", "unit": "", "open_fraction": 1.0, "floor": 0.01, "after": {"test": 0.05}}
     told = answers({"verdict": "unexplained", "effects": [], "gap": gap, "remaining": {"rule": "level above 9.4 cm"}})

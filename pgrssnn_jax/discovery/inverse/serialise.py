@@ -83,6 +83,7 @@ def _gap(found: Found) -> dict[str, Any]:
     models = {"train": found.train.models, "test": found.test.models}
     stages = ("before", "recalibrated", "after")
     closed = closed_on_test(found, found.test.models["recalibrated"].error)
+    missing = found.verdict not in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
     return {
         "metric": "torque NRMSE",
         "unit": "",
@@ -94,8 +95,8 @@ def _gap(found: Found) -> dict[str, Any]:
         "moving": {stage: found.test.models[stage].moving for stage in stages},
         "n_init": 0,
         "floor": found.floor,
-        "closed_fraction": closed,
-        "open_fraction": 1.0 - closed,
+        "closed_fraction": closed if missing else 0.0,
+        "open_fraction": 1.0 - closed if missing else 0.0,
     }
 
 

@@ -1,0 +1,71 @@
+"""Integration steps that are short enough for a record: the error of an integrator is no missing effect.
+
+    y_k: free run of the nominal physics with k sub-steps        d = y_k - y_2k        Σ (d / σ)² / 2 ≤ 1
+
+Errors of this size change the log-likelihood of the record by one nat at most, less than any number that is fitted
+gains by luck. σ: of the white noise in the errors of y_2k (`noise.py`).
+"""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.simulate import first_output_state, free_run
+from pgrssnn_jax.records.record import Record
+
+_SAMPLES = 10_000  # of a record: from so many the length of the steps shows
+_MOST = 16  # times as many sub-steps
+_CONVERGES = 4.0  # d falls by 16 with each doubling in a method of order 4; beside jumps of a derivative by 2
+Errors = Float[np.ndarray, "seq time y"]
+
+
+def with_short_steps(physics: Physics, record: Record, notify: Callable[[str], None]) -> Physics:
+    """The physics with as many sub-steps as the record can tell from more. As it was where none are enough, because its
+    equations jump or its free run does not stay finite, and where that comes nearer to the record: simulated data may
+    have been made with it."""
+    given = physics.settings["sub_steps"]
+    length = max(2, _SAMPLES // len(record.u))
+    u, y, mask = (np.asarray(a[:, :length], t) for a, t in zip(record[:3], (float, float, bool), strict=True))
+
+    def errors(times: int) -> Float[np.ndarray, "seq time y"]:
+        shorter = physics.variant(sub_steps=times * given)
+        found = free_run(shorter, u, first_output_state(shorter, y[:, 0], u[:, 0]))[0]
+        return np.where(mask, y - np.asarray(found), 0.0)
+
+    with jax.enable_x64(True):
+        found = _enough(errors, mask)
+    if found == 1:
+        return physics
+    notify(
+        f"integration: {found * given} steps a sample in place of {given}, because these data would take the error of "
+        "the integrator for one of the physics"
+    )
+    return physics.variant(sub_steps=found * given)
+
+
+def _enough(errors: Callable[[int], Errors], mask: Bool[np.ndarray, "seq time y"]) -> int:
+    """How many times as many sub-steps; errors: of the free run with so many."""
+    first = here = errors(1)
+    times, before = 1, np.inf
+    while times < _MOST:
+        finer = errors(2 * times)
+        if not (np.isfinite(here).all() and np.isfinite(finer).all()):
+            return 1
+        noise = _white_noise(finer, mask)
+        nats = 0.5 * float((((finer - here) ** 2).sum((0, 1)) / noise).sum())
+        if nats <= 1.0:
+            break
+        if nats * _CONVERGES**2 > before:
+            return 1
+        times, here, before = 2 * times, finer, nats
+    return times if times == 1 or ((here**2 - first**2).sum((0, 1)) / noise).sum() < 0.0 else 1
+
+
+def _white_noise(error: Errors, mask: Bool[np.ndarray, "seq time y"]) -> Float[np.ndarray, " y"]:
+    """Variance of each output's."""
+    outputs = range(error.shape[-1])
+    return np.array([noise_floor(error[..., [j]], 1.0 * mask[..., [j]]) / max(mask[..., j].sum(), 1) for j in outputs])
