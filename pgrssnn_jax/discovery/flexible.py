@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input, on_output
+from pgrssnn_jax.effects.memory import with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 KNOTS = 8

@@ -10,11 +10,10 @@ from functools import wraps
 from typing import Any, Literal, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.physics.base import Extension, Origin, Parameter, Physics, Signal, extended, extension_of
+from pgrssnn_jax.physics.base import Extension, Origin, Parameter, Physics, extended, extension_of
 
 Numbers = Mapping[str, Any]
 Map = Callable[[Any, jax.Array], jax.Array]
@@ -277,23 +276,3 @@ def after_step(physics: Physics, name: str, change: After) -> Physics:
         return change(p.effects[name], p.own, x, u, physics.step(p, x, u))
 
     return physics._replace(step=step)
-
-
-def with_memory(
-    physics: Physics,
-    name: str,
-    memory: Sequence[Signal],
-    advance: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]],
-) -> Physics:
-    """`u', memory' = advance(n, memory, u)`: the physics sees u', and its state gains the memory at its end; n: numbers
-    of the effect. The measurement sees the input as it came."""
-    n = len(physics.states)
-
-    def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        u, kept = advance(p.effects[name], x[n:], u)
-        return jnp.concatenate([physics.step(p, x[:n], u), kept])
-
-    def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        return physics.measure(p, x[:n], u)
-
-    return physics._replace(step=step, measure=measure, states=(*physics.states, *memory))

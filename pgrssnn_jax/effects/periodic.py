@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted, with_memory
+from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted
+from pgrssnn_jax.effects.memory import with_memory
 from pgrssnn_jax.effects.sensors_actuators import remembered_inputs, unit_of_all
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 

@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted, on_input, on_output
+from pgrssnn_jax.effects.memory import with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 LONGEST_DELAY = 6  # samples that input_delay remembers

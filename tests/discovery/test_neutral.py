@@ -6,7 +6,8 @@ import pytest
 
 from pgrssnn_jax.discovery.neutral import check_neutral
 from pgrssnn_jax.effects import catalogue
-from pgrssnn_jax.effects.base import Effect, after_step, on_input, on_output, with_memory
+from pgrssnn_jax.effects.base import Effect, after_step, on_input, on_output
+from pgrssnn_jax.effects.memory import with_memory
 from pgrssnn_jax.physics.base import Parameter, Signal
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 

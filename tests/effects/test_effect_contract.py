@@ -86,7 +86,8 @@ def mapped(system: str, name: str | None):
 
     def both(params, x, u):
         x = x[: len(physics.states)]
-        return physics.step(params, x, u), physics.measure(params, x, u)
+        new = physics.step(params, x, u)
+        return new, physics.measure(params, new if physics.output_timing == "after_step" else x, u)
 
     return quick_jit(jax.vmap(both, (None, 0, 0)))
 

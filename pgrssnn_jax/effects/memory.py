@@ -1,0 +1,49 @@
+"""Effects of an input that remember: the physics sees u', and its state gains what they remember.
+
+    u'_t, m_t = advance(n, m_{t-1}, u_t)        x_t = step(p, x_{t-1}, u'_t)        y_t = measure(p, x_t, u'_t)
+
+An output that depends on the input directly, an acceleration say, is read after the step: then u'_t is remembered too.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from pgrssnn_jax.physics.base import Physics, Signal
+
+
+def with_memory(
+    physics: Physics,
+    name: str,
+    memory: Sequence[Signal],
+    advance: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]],
+) -> Physics:
+    """`u', memory' = advance(n, memory, u)`: the physics sees u', and its state gains the memory at its end; n: numbers
+    of the effect."""
+    n, direct = len(physics.states), reads_input(physics)
+    end, late = n + len(memory), direct and physics.output_timing == "after_step"
+    acting = [Signal(f"{s.name}_after_{name}", s.unit, memory_of=s.name) for s in physics.inputs if late]
+
+    def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+        u, kept = advance(p.effects[name], x[n:end], u)
+        return jnp.concatenate([physics.step(p, x[:n], u), kept, *([u] if late else [])])
+
+    def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+        if direct:
+            u = x[end : end + len(acting)] if late else advance(p.effects[name], x[n:end], u)[0]
+        return physics.measure(p, x[:n], u)
+
+    return physics._replace(step=step, measure=measure, states=(*physics.states, *memory, *acting))
+
+
+def reads_input(physics: Physics) -> bool:
+    """Does the measurement depend on the input directly?"""
+    x, u = (jax.ShapeDtypeStruct((len(signals),), jnp.float32) for signals in (physics.states, physics.inputs))
+    program = jax.make_jaxpr(physics.measure)(physics.params, x, u).jaxpr
+    reached = {id(program.invars[-1])}
+    for line in program.eqns:
+        if any(id(one) in reached for one in line.invars):
+            reached |= {id(one) for one in line.outvars}
+    return any(id(one) in reached for one in program.outvars)
