@@ -10,6 +10,7 @@ from pgrssnn_jax.discovery.candidates import Model
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.locate import box, intervals
 from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.validate import white_noise
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.places import LEVEL, VELOCITY, levels, velocities
 from pgrssnn_jax.physics.base import Physics
@@ -85,9 +86,8 @@ def closed_on_test(found: Discovery, error: float, better: float) -> float:
 
 
 def floor(found: Discovery) -> float:
-    """The white noise in the metric."""
-    scale = 1.0 if found.test.metric.name == "NRMSE" else 1.0 / float(found.signals.weight.max())
-    return found.selection.floor * scale
+    """The white noise that the final model leaves in the estimation record, in the metric of the test record."""
+    return white_noise(found.estimation, found.train.after.y, found.test.scale)
 
 
 def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:

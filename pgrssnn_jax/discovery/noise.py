@@ -30,6 +30,14 @@ def noise_floor(error: Float[np.ndarray, "seq time y"], weight: Float[np.ndarray
     return min(total, float((error**2).sum()))
 
 
+def white_variance(
+    error: Float[np.ndarray, "seq time y"], mask: Bool[np.ndarray, "seq time y"]
+) -> Float[np.ndarray, " y"]:
+    """Of the white noise of each output."""
+    outputs = range(error.shape[-1])
+    return np.array([noise_floor(error[..., [j]], 1.0 * mask[..., [j]]) / max(mask[..., j].sum(), 1) for j in outputs])
+
+
 def surrogates(
     error: Float[np.ndarray, "seq time y"], draws: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "draw seq time y"]:

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.noise import white_variance
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.physics.simulate import first_output_state, free_run
 from pgrssnn_jax.records.record import Record
@@ -50,12 +50,12 @@ def with_short_steps(physics: Physics, record: Record, notify: Callable[[str], N
 def _enough(errors: Callable[[int], Errors], mask: Bool[np.ndarray, "seq time y"]) -> int:
     """How many times as many sub-steps; errors: of the free run with so many."""
     first = here = errors(1)
-    times, before = 1, np.inf
+    times, before, noise = 1, np.inf, np.ones(here.shape[-1])
     while times < _MOST:
         finer = errors(2 * times)
         if not (np.isfinite(here).all() and np.isfinite(finer).all()):
             return 1
-        noise = _white_noise(finer, mask)
+        noise = white_variance(finer, mask)
         nats = 0.5 * float((((finer - here) ** 2).sum((0, 1)) / noise).sum())
         if nats <= 1.0:
             break
@@ -63,9 +63,3 @@ def _enough(errors: Callable[[int], Errors], mask: Bool[np.ndarray, "seq time y"
             return 1
         times, here, before = 2 * times, finer, nats
     return times if times == 1 or ((here**2 - first**2).sum((0, 1)) / noise).sum() < 0.0 else 1
-
-
-def _white_noise(error: Errors, mask: Bool[np.ndarray, "seq time y"]) -> Float[np.ndarray, " y"]:
-    """Variance of each output's."""
-    outputs = range(error.shape[-1])
-    return np.array([noise_floor(error[..., [j]], 1.0 * mask[..., [j]]) / max(mask[..., j].sum(), 1) for j in outputs])

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.noise import longest_memory
+from pgrssnn_jax.discovery.noise import longest_memory, white_variance
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.discovery.starts import begins_anew, fitted_start, samples_for_start
@@ -37,6 +37,13 @@ class Metric(NamedTuple):
         found = function(measured=record.y, predicted=y, mask=record.mask, n_init=self.n_init)
         return float(np.mean(found))
 
+    def scale(self, record: Record) -> Float[np.ndarray, " y"]:
+        """What an RMS error of each output is divided by."""
+        if self.name != "NRMSE":
+            return np.ones(record.y.shape[-1])
+        measured = np.where(record.mask, np.asarray(record.y, np.float64), np.nan)
+        return np.nanstd(measured[:, self.n_init :], axis=(0, 1))
+
 
 class Validation(NamedTuple):
     """y `[seq, time, y]` and x of the free run on a record; error: the metric, mean over outputs; interval: 95 %."""
@@ -50,7 +57,8 @@ class Validation(NamedTuple):
 class Validations(NamedTuple):
     """The same record by the nominal physics, recalibrated, and with what was found. improvement: 95 % interval of
     the fall of the error from the second to the third; relative: error of the third over the standard deviation of the
-    record; without: errors of the final model without each effect in turn."""
+    record; without: errors of the final model without each effect in turn; scale: what an RMS error of each output
+    is divided by."""
 
     before: Validation
     recalibrated: Validation
@@ -59,6 +67,7 @@ class Validations(NamedTuple):
     improvement: tuple[float, float]
     relative: float
     without: Mapping[str, float]
+    scale: Float[np.ndarray, " y"]
 
     @property
     def models(self) -> dict[str, Validation]:
@@ -115,13 +124,21 @@ def _validations(
     ]
     relative = metric._replace(name="NRMSE").of(record, runs[-1][0])
     before, recalibrated, after = found
-    return Validations(before, recalibrated, after, metric, _interval(drawn[1] - drawn[2]), relative, without)
+    fall = _interval(drawn[1] - drawn[2])
+    return Validations(before, recalibrated, after, metric, fall, relative, without, metric.scale(record))
 
 
 def _metric(record: Record, n_init: int) -> Metric:
     if len(record.info.outputs) > 1:
         return Metric("NRMSE", "", n_init)
     return Metric("RMSE", "".join(channel.unit for channel in record.info.outputs), n_init)
+
+
+def white_noise(record: Record, y: Float[np.ndarray, "seq time y"], scale: Float[np.ndarray, " y"]) -> float:
+    """RMS of the white noise that a free run leaves in a record, over a scale of each output; mean over outputs."""
+    mask = np.asarray(record.mask)
+    error = np.where(mask & np.isfinite(y), record.y - y, 0.0)
+    return float(np.mean(np.sqrt(white_variance(error, mask)) / scale))
 
 
 def _simulated(
@@ -147,9 +164,7 @@ def _resampled(
     length = _block(left)
     blocks = [(s, t) for s in range(n_seq) for t in range(metric.n_init, time, length)]
     drawn = np.random.default_rng(0).integers(0, len(blocks), (_RESAMPLED, len(blocks)))
-    scale = np.ones(measured.shape[-1])
-    if metric.name == "NRMSE":
-        scale = np.nanstd(np.where(mask, measured, np.nan)[:, metric.n_init :], axis=(0, 1))
+    scale = metric.scale(record)
     counts = np.stack([mask[s, t : t + length].sum(0) for s, t in blocks])[drawn].sum(1)
     found = []
     for y in predicted:

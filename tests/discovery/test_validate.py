@@ -10,7 +10,7 @@ from toys import small_record
 from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.setup import Start
-from pgrssnn_jax.discovery.validate import Metric, _interval, _resampled, validations_on_test
+from pgrssnn_jax.discovery.validate import Metric, _interval, _resampled, validations_on_test, white_noise
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.records.record import Record
@@ -110,3 +110,21 @@ def test_no_record_shares_its_phase_with_another(start, phase):
     assert said.recalibrated.error > 0.4
     if start is not Start.UNKNOWN:
         assert said.after.x[0, 0, 0] == said.recalibrated.x[0, 0, 0], "the state begins where it is known to"
+
+
+def test_the_noise_is_that_of_the_estimation_record_over_the_spread_of_the_test_record():
+    """Of each output; samples at which a run has left the range of numbers tell nothing."""
+    sizes, scale = np.array([0.1, 0.4]), np.array([2.0, 4.0])
+    y = sizes * np.random.default_rng(0).standard_normal((4000, 2))
+    run = np.zeros((1, 4000, 2))
+    assert white_noise(small_record(np.zeros((4000, 1)), y), run, scale) == pytest.approx(0.075, rel=0.03)
+    run[0, 2000:] = np.nan
+    assert 0.0 < white_noise(small_record(np.zeros((4000, 1)), y), run, scale) < 0.08
+
+
+def test_what_an_error_is_divided_by_is_the_spread_of_the_samples_that_count():
+    y = np.concatenate([np.full(100, 50.0), np.tile([1.0, -1.0], 200)])
+    record = small_record(np.zeros((500, 1)), y[:, None])
+    assert Metric("NRMSE", "", 100).scale(record) == pytest.approx([1.0])
+    assert Metric("RMSE", "V", 100).scale(record) == pytest.approx([1.0])
+    assert Metric("NRMSE", "", 0).scale(record) > 10.0
