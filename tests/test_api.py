@@ -150,9 +150,30 @@ def test_a_start_that_training_did_not_know_must_be_given(tanks, benchmark):
     unknown = pg.record(train.u, train.y, dt=4.0, inputs={"pump_voltage": "V"}, outputs={"level_voltage": "V"})
     fitted = pg.fit("physics_only", tanks, unknown, recipe="default", **QUICK)
     assert not fitted.settings.data.folds
-    with pytest.raises(ValueError, match="x0: expected an initial state of 2 numbers"):
+    with pytest.raises(ValueError, match=r"x0: expected an initial state of 2 numbers.*initial_state\(record\)"):
         fitted.simulate(train.u)
     assert fitted.simulate(train.u[0], np.array([3.0, 3.0])).shape == (1, 200, 1)
+
+
+def test_the_start_of_a_record_is_the_one_from_which_it_is_tested(ensemble, benchmark):
+    """Here each member has the start that its training found; other members have others."""
+    test = benchmark[1]
+    x0 = ensemble.initial_state(test)
+    assert x0.shape == (2, 1, 2)
+    expected = ensemble.evaluate(test).arrays["y_hat"]
+    np.testing.assert_allclose(ensemble.simulate(test.u, x0), expected, rtol=1e-5, atol=1e-5)
+    with pytest.raises(ValueError, match=r"x0: expected shape .* or \(2, 1, 2\), found \(3, 1, 2\)"):
+        ensemble.simulate(test.u, np.zeros((3, 1, 2)))
+
+
+def test_a_start_is_estimated_from_the_first_samples_of_a_record(tanks, benchmark):
+    """Of the physics alone, whose own start is known."""
+    x0, u = np.array([4.0, 6.0]), benchmark[0].u[0]
+    y = pg.simulate(tanks, u, x0).y
+    known = {"dt": 4.0, "inputs": {"pump_voltage": "V"}, "outputs": {"level_voltage": "V"}}
+    record = pg.record(u, y, **known)
+    fitted = pg.fit("physics_only", tanks, record, recipe="default", initial_state="estimated", n_init=40, **QUICK)
+    np.testing.assert_allclose(fitted.initial_state(record)[0, 0], x0, atol=0.05)
 
 
 def test_a_callback_sees_progress_and_may_stop(tanks, benchmark):

@@ -38,11 +38,13 @@ def checked_inputs(u: Any, n_u: int) -> np.ndarray:
     return found.astype(np.float64)
 
 
-def checked_start(x0: Any, n_x: int, sequences: int) -> np.ndarray:
-    """The x_0 of a free run `[state]` or `[sequence, state]`. Raises `ValueError` for anything else."""
+def checked_start(x0: Any, n_x: int, sequences: int, members: int | None = None) -> np.ndarray:
+    """The x_0 of a free run `[state]` or `[sequence, state]`, or of an ensemble `[member, sequence, state]`. Raises
+    `ValueError` for anything else."""
     found = real_numbers("simulate: x0", x0)
-    if found.shape not in ((n_x,), (sequences, n_x)):
-        raise ValueError(f"simulate: x0: expected shape ({n_x},) or ({sequences}, {n_x}), found {found.shape}")
+    shapes = [(n_x,), (sequences, n_x), *([(members, sequences, n_x)] if members else [])]
+    if found.shape not in shapes:
+        raise ValueError(f"simulate: x0: expected shape {' or '.join(map(str, shapes))}, found {found.shape}")
     return found.astype(np.float64)
 
 

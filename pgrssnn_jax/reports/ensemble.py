@@ -109,7 +109,8 @@ class Ensemble:
     ) -> Float[np.ndarray, "member *seq time y"] | Simulated:
         """Free run of every member from inputs u `[time, input]` or `[sequence, time, input]`; NaN for a failed one.
 
-        x0 `[state]` or `[sequence, state]` in the physics' units; None: as in training, where that is a known state.
+        x0 `[state]`, `[sequence, state]` or `[member, sequence, state]` (`initial_state`) in the physics' units; None:
+        as in training, where that is a known state.
         interval: 0.9 for the interval that holds nine in ten measurements (`training/intervals.py`), which changes the
         result to a `Simulated`. Raises `ValueError` for other shapes, for inputs that are not finite, where training
         knew no start, and where no interval was calibrated.
@@ -132,8 +133,13 @@ class Ensemble:
         found = Simulated(y, mean, mean - half, mean + half)
         return found if u.ndim == 3 else Simulated(y[:, 0], *(a[0] for a in found[1:]))
 
-    def _given_start(self, x0: Array, sequences: int) -> Float[np.ndarray, "*seq x"]:
-        found = checked_start(x0, self.model.n_x, sequences)
+    def initial_state(self, record: Record) -> Float[np.ndarray, "member seq x"]:
+        """x_0 of every member for a record, found as in a test: known, or estimated from its first samples."""
+        tests = member_tests(self.trained.objective, self.trained.members, self.trained.units, (0,), record)
+        return evaluation.predict(self.trained, tests.record).x0
+
+    def _given_start(self, x0: Array, sequences: int) -> Float[np.ndarray, "*member_and_seq x"]:
+        found = checked_start(x0, self.model.n_x, sequences, len(self.trained.members))
         if not np.isfinite(found).all():
             raise ValueError("simulate: x0: expected finite numbers, found NaN or infinity")
         return found
@@ -170,7 +176,7 @@ class Ensemble:
             return self.trained.start
         raise ValueError(
             f"simulate: x0: expected an initial state of {self.model.n_x} numbers, because training found one for each "
-            f"record (initial_state={initial.kind}), found none"
+            f"record (initial_state={initial.kind}), found none; initial_state(record) finds that of a record"
         )
 
     def evaluate(self, test: Record) -> Evaluated:

@@ -231,7 +231,9 @@ def test_a_finished_run_is_read_back_without_its_data(tmp_path, benchmark):
         u, y_hat, x0 = arrays["u"][0], arrays["y_hat"][:, 0], arrays["x0"][0, 0]
     benchmark.unlink()
     again = load(run.path).simulate(u, x0)
-    with pytest.raises(ValueError, match=r"simulate: x0: expected shape \(2,\) or \(1, 2\), found \(3,\)"):
+    with pytest.raises(
+        ValueError, match=r"simulate: x0: expected shape \(2,\) or \(1, 2\) or \(\d, 1, 2\), found \(3,\)"
+    ):
         load(run.path).simulate(u, np.zeros(3))
     np.testing.assert_allclose(again, y_hat, rtol=1e-3, atol=1e-3)
     with pytest.raises(ValueError, match="run folder: expected one"):
