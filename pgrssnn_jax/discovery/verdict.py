@@ -131,7 +131,8 @@ def _dependent(selection: Selection, nameless: Nameless, criteria: Criteria) -> 
 
 
 def _alternatives(problem: Problem, screening: Screening, name: str, criteria: Criteria) -> tuple[Candidate, ...]:
-    """Candidates that predict as well in the place of an effect; simpler forms of it aside, because they were
+    """Candidates that predict as well in the place of an effect, or under which the record is as likely: with more
+    numbers they predict left-out blocks worse, whatever is true. Simpler forms of it aside, because they were
     preferred."""
     own = next((c for c in screening.candidates if c.name == name), None)
     if own is None or own.model is None:
@@ -144,6 +145,6 @@ def _alternatives(problem: Problem, screening: Screening, name: str, criteria: C
         worse, error = _compared(own.model, other.model)
         better, base_error = other.model.better_than(screening.base)
         counts = better > criteria.standard_errors * base_error and screening.p_value(other) <= criteria.further
-        if counts and worse <= criteria.tied * error:
+        if counts and (worse <= criteria.tied * error or own.gain - other.gain <= criteria.alike):
             rivals.append(other)
     return tuple(rivals)

@@ -95,6 +95,14 @@ def test_what_is_within_the_end_of_a_fit_is_no_difference_however_sure_it_is(pro
         assert judged(problem, 1e4, 1.0, rivals={RIVAL: rival}).verdict is expected
 
 
+@pytest.mark.parametrize(("nats", "expected"), [(0.8, Verdict.AMBIGUOUS), (1.2, Verdict.EFFECT_FOUND)])
+def test_an_effect_with_more_numbers_is_an_alternative_where_the_record_is_as_likely(problem, nats, expected):
+    """It predicts every left-out block worse, as more numbers do."""
+    rival = model(problem, np.exp(2.0 * nats / SAMPLES), (RIVAL,))
+    rival = rival._replace(squares=1.02 * rival.squares)
+    assert judged(problem, 1e4, 1.0, rivals={RIVAL: rival}).verdict is expected
+
+
 def test_a_correction_is_unknown_where_no_name_helps(problem):
     found = judged(problem, 400.0, beside=100.0)
     assert found.verdict is Verdict.UNKNOWN_EFFECT
