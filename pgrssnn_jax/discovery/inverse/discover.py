@@ -14,12 +14,13 @@ from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
 from pgrssnn_jax.discovery.inverse.compare import Compared, compared, error_of, spreads
-from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Samples, Torques, fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Torques, fastest_of, judged, samples_of, torques
 from pgrssnn_jax.discovery.inverse.fit import Gain
+from pgrssnn_jax.discovery.inverse.floor import floor_of
 from pgrssnn_jax.discovery.inverse.free_run import FreeRun, free_runs
 from pgrssnn_jax.discovery.inverse.hum import hum_of
 from pgrssnn_jax.discovery.inverse.judge import chances, changed_friction, deviations
-from pgrssnn_jax.discovery.inverse.motion import Motion, few, motion_of, spectrum_of
+from pgrssnn_jax.discovery.inverse.motion import Motion, few, motion_of
 from pgrssnn_jax.discovery.inverse.reading import COARSE, FAST, Reading, best_reading
 from pgrssnn_jax.discovery.inverse.select import Active, Chosen, Search, finalists, own_places, select
 from pgrssnn_jax.discovery.inverse.structures import STRUCTURE, Structure, Tried, best_structures, near, wrapped
@@ -138,7 +139,8 @@ def discover_by_torques(setup: Setup, motion: Motion, notify: Callable[[str], No
         without = {name: error_of(model, test, fastest, fit.theta) for name, fit in chosen.without.items()}
         line = hum_of(model, reading, setup.estimation, theta["after"])
         gain = test.gains["recalibrated" if active else "before"]
-        floor = _floor(model, setup, train, test, samples, last.theta)
+        least = min(one.models["after"].error for one in (train, test))
+        floor = min(floor_of(model, reading, setup.estimation, train, samples, last.theta), least)
     seconds = {"name": named - started, "judge": told - named, "prove": time.perf_counter() - told}
     return Found(
         problem=problem,
@@ -202,23 +204,6 @@ def _held(problem: Problem, tolerance: float | None) -> Problem:
 
 def _at_rest(setup: Setup) -> bool:
     return setup.start is Start.AT_REST
-
-
-def _floor(
-    model: Torques, setup: Setup, train: Compared, test: Compared, samples: Samples, theta: Float[np.ndarray, " p"]
-) -> float:
-    """What noise alone leaves, in the metric: of torques, and of accelerations by the inertia that they move. At most
-    what the final model leaves. Dry friction that changes its sign fills the spectrum of a torque as noise does, and
-    less that of the errors."""
-    motion = train.motion
-    signals = np.asarray(setup.estimation.u, np.float64), motion.torque - train.models["after"].torque
-    dt, bandwidth = setup.physics.dt, setup.estimation.info.bandwidth
-    floor = np.minimum(*(spectrum_of(one, dt, bandwidth)[1] for one in signals))
-    of_torque = floor * min(0.5 / dt, bandwidth or np.inf)  # torques are not filtered here
-    still = samples._replace(a=np.zeros_like(samples.a))
-    inertial = ((model.errors(theta, samples) - model.errors(theta, still)) ** 2).mean(1)
-    spectral = np.sqrt(of_torque + motion.noise**2 * inertial) / train.spread
-    return min(float(np.mean(spectral)), *(one.models["after"].error for one in (train, test)))
 
 
 def _verdict(

@@ -104,6 +104,7 @@ def spectrum_of(y: PerSample, dt: float, bandwidth: float | None = None) -> tupl
     passed = f <= _PASSED * (np.inf if bandwidth is None else bandwidth)
     f, power = f[passed], power[:, passed]
     power = scipy.ndimage.uniform_filter1d(power.mean(0), _SMOOTHED, axis=0, mode="nearest")
+    power = np.maximum(power, 0.0)  # running sums of a record without noise end below
     floor = np.median(power[f > _FLOOR * f[-1]], axis=0)
     above = power > _RATIO * floor
     highest = np.array([f[above[:, j]].max(initial=0.0) for j in range(y.shape[2])])
