@@ -104,11 +104,23 @@ def _left_out(torques: Torques, samples: Samples, at: Tangent, weight: Errors, f
     fold determines a parameter, the full step of the others would leave the range in which the tangent holds."""
     left_out = np.empty_like(at.error)
     for part, step in _steps_without(torques.problem, samples, at, weight, folds)[1]:
-        others = np.where(part, 0.0, weight)
-        cost = _cost(torques, at.error, others, at.theta)
-        _, error, _ = _shortened(torques, samples, at, step, others, cost)
-        left_out[:, part] = error[:, part]
+        left_out[:, part] = _settled(torques, samples, at, step, np.where(part, 0.0, weight))[:, part]
     return left_out
+
+
+def _settled(torques: Torques, samples: Samples, at: Tangent, step: Float[np.ndarray, " k"], weight: Errors) -> Errors:
+    """Errors at the optimum for a weight, from a tangent and its first step. A step that is shortened, or behind which
+    the tangent does not hold, is followed by another one: the samples with no weight had a part in where it began."""
+    error = at.error
+    for _ in range(_STEPS):
+        cost = _cost(torques, at.error, weight, at.theta)
+        theta, error, after = _shortened(torques, samples, at, step, weight, cost)
+        bent = error - at.error_after(step)
+        if cost - after <= _STILL_FALLS * cost or float((weight * bent**2).sum()) <= _STILL_FALLS * after:
+            break
+        at = Tangent(theta, at.places, *torques.linearised(theta, samples, at.places))
+        step = _solved(torques.problem, at, *_sums(*_scaled(at, weight)))
+    return error
 
 
 def refitted(

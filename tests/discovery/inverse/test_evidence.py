@@ -1,13 +1,15 @@
 """Torque errors and their derivatives against Pinocchio and finite differences."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 import scipy
 from arm_logs import DT, KUKA, log
 
-from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, fastest_of, judged, samples_of, torques
-from pgrssnn_jax.discovery.inverse.fit import fitted, gain
+from pgrssnn_jax.discovery.inverse.evidence import SMOOTHED, Torques, fastest_of, judged, samples_of, torques
+from pgrssnn_jax.discovery.inverse.fit import Tangent, _scaled, _settled, _solved, _sums, fitted, gain
 from pgrssnn_jax.discovery.inverse.motion import motion_of, thinned
 from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.effects.systems import catalogue
@@ -109,6 +111,31 @@ def test_what_is_left_out_of_a_nonlinear_fit_is_predicted_by_a_fit_to_the_others
         expected = (np.sqrt(found.weight) * model.errors(theta, samples))[:, part]
         predicted = (np.sqrt(found.weight) * found.left_out)[:, part]
         assert (predicted**2).mean() == pytest.approx((expected**2).mean(), rel=0.05)
+
+
+class Bent(Torques):
+    """Errors arctan(x) + noise of a single number x: from far away a whole step of Gauss-Newton overshoots."""
+
+    def errors(self, theta, samples):
+        return np.arctan(theta[:1])[:, None] + samples.torque
+
+    def linearised(self, theta, samples, places):
+        slope = 1.0 / (1.0 + theta[:1] ** 2)
+        return self.errors(theta, samples), np.broadcast_to(slope, (len(places), *samples.torque.shape)).copy()
+
+
+def test_a_fold_is_predicted_from_its_own_optimum_also_where_steps_are_shortened(judging):
+    problem, model = judging
+    noise = np.random.default_rng(0).normal(0.0, 0.1, (1, 50))
+    samples = some(log(0))._replace(torque=noise)
+    wide = np.full(len(problem.theta), np.inf)
+    free = replace(problem, precision=np.zeros(len(wide)), low=-wide, high=wide)
+    bent, theta, place = Bent(free, model.moves, model.scales, model._linearised), problem.theta.copy(), np.array([0])
+    theta[0] = 2.0
+    at, weight = Tangent(theta, place, *bent.linearised(theta, samples, place)), np.ones(noise.shape)
+    first = _solved(free, at, *_sums(*_scaled(at, weight)))
+    assert np.abs(np.arctan(theta[0] + first)).mean() > np.arctan(2.0), "the step overshoots"
+    np.testing.assert_allclose(_settled(bent, samples, at, first, weight), noise - noise.mean(), atol=2e-3)
 
 
 def test_slow_joints_count_as_at_rest():
