@@ -40,7 +40,8 @@ def with_memory(
 
 def reads_input(physics: Physics) -> bool:
     """Does the measurement depend on the input directly?"""
-    x, u = (jax.ShapeDtypeStruct((len(signals),), jnp.float32) for signals in (physics.states, physics.inputs))
+    number = jnp.result_type(float)
+    x, u = (jax.ShapeDtypeStruct((len(signals),), number) for signals in (physics.states, physics.inputs))
     program = jax.make_jaxpr(physics.measure)(physics.params, x, u).jaxpr
     reached = {id(program.invars[-1])}
     for line in program.eqns:
