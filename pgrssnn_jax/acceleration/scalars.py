@@ -17,7 +17,7 @@ from jax.extend.core import Jaxpr, Literal, Primitive
 
 Array = jax.Array | np.ndarray
 Numbers = Sequence[Any]
-_MOST = 700  # operations on numbers: beyond, compiling takes longer than is gained
+MOST = 700  # operations on numbers: beyond, XLA takes longer to compile them than is gained
 # fmt: off
 _EACH = frozenset({
     "abs", "acos", "acosh", "add", "add_any", "and", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "clamp",
@@ -38,10 +38,12 @@ _SCATTERED = {
 
 
 class Program(NamedTuple):
-    """Operations on scalars, and the constants among them. It takes arrays of any shapes that broadcast."""
+    """Operations on scalars, and the constants among them. It takes arrays of any shapes that broadcast. operations:
+    how many the function has without its derivatives."""
 
     jaxpr: Jaxpr
     constants: Numbers
+    operations: int
 
     def __call__(self, *numbers: Array) -> list[Array]:
         known = dict(zip([*self.jaxpr.constvars, *self.jaxpr.invars], [*self.constants, *numbers], strict=True))
@@ -55,17 +57,21 @@ class Program(NamedTuple):
         return [read(v) for v in self.jaxpr.outvars]
 
 
-def written_out(function: Callable[..., jax.Array], sizes: Sequence[int], moving: int) -> Program | None:
+def written_out(
+    function: Callable[..., jax.Array], sizes: Sequence[int], moving: int, most: int = MOST
+) -> Program | None:
     """A function of vectors of these sizes, whose result is a vector, with its derivative along tangents of the first
     `moving` arguments:
 
         (*numbers, *tangents) -> (*values, *tangents of the values)
 
-    None where it has operations that are unknown here (loops, functions with derivatives of their own) or too many.
+    None where it has operations that are unknown here (loops of unknown length, functions with derivatives of their
+    own) or too many.
     """
     kind = jax.dtypes.canonicalize_dtype(float)
     whole = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct((n,), kind) for n in sizes))
-    if _operations(whole.jaxpr) > _MOST:
+    operations = _operations(whole.jaxpr)
+    if operations > most:
         return None
     count, moved = sum(sizes), sum(sizes[:moving])
 
@@ -84,9 +90,20 @@ def written_out(function: Callable[..., jax.Array], sizes: Sequence[int], moving
         program = jax.make_jaxpr(along)(*[jax.ShapeDtypeStruct((), kind)] * (count + moved))
     except _UnknownError:
         return None
-    if any(equation.primitive.name not in _EACH for equation in program.jaxpr.eqns):
+    jaxpr = program.jaxpr.replace(eqns=_needed(program.jaxpr))
+    if any(equation.primitive.name not in _EACH for equation in jaxpr.eqns):
         return None
-    return Program(program.jaxpr, program.consts)
+    return Program(jaxpr, program.consts, operations)
+
+
+def _needed(jaxpr: Jaxpr) -> list[Any]:
+    """Equations on which the results depend: nobody asks for the count of a loop."""
+    wanted, kept = {v for v in jaxpr.outvars if not isinstance(v, Literal)}, []
+    for equation in reversed(jaxpr.eqns):
+        if wanted.intersection(equation.outvars):
+            kept.append(equation)
+            wanted.update(v for v in equation.invars if not isinstance(v, Literal))
+    return kept[::-1]
 
 
 class _UnknownError(Exception):
@@ -124,6 +141,8 @@ def _apply(primitive: Primitive, params: dict[str, Any], given: list[_Array]) ->
     name = primitive.name
     if name == "jit":
         return _evaluate(params["jaxpr"].jaxpr, params["jaxpr"].consts, given)
+    if name == "scan":
+        return _looped(params, given)
     if name in _EACH:
         shape = np.broadcast_shapes(*(a.shape for a in given))
         each = zip(*(a.at(np.broadcast_to(a.places, shape)).numbers for a in given), strict=True)
@@ -140,6 +159,18 @@ def _apply(primitive: Primitive, params: dict[str, Any], given: list[_Array]) ->
         shape, axis = params["shape"], params["dimension"]
         return [_constant(np.indices(shape)[axis].astype(params["dtype"]))]
     return [given[0].at(places) for places in _rearranged(name, params, given[0])] if given else _unknown(name)
+
+
+def _looped(params: dict[str, Any], given: list[_Array]) -> list[_Array]:
+    """A loop of known length, one round after the other: the sub-steps of an integrator."""
+    consts, carried = params["num_consts"], params["num_consts"] + params["num_carry"]
+    body = params["jaxpr"]
+    if len(given) != carried or len(body.jaxpr.outvars) != params["num_carry"]:
+        _unknown("scan")  # over arrays
+    state = given[consts:]
+    for _ in range(params["length"]):
+        state = _evaluate(body.jaxpr, body.consts, [*given[:consts], *state])
+    return state
 
 
 def _rearranged(name: str, params: dict[str, Any], a: _Array) -> Sequence[np.ndarray]:
@@ -240,6 +271,8 @@ def _operations_of(equation: Any) -> int:
     name, params = equation.primitive.name, equation.params
     if name == "jit":
         return _operations(params["jaxpr"].jaxpr)
+    if name == "scan":
+        return params["length"] * _operations(params["jaxpr"].jaxpr)
     if name == "dot_general":
         (over, _), _ = params["dimension_numbers"]
         return equation.outvars[0].aval.size * int(np.prod([equation.invars[0].aval.shape[i] for i in over]))

@@ -88,7 +88,7 @@ def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
     """Of a physics whose free run over the record stays finite (`checks.check_physics`)."""
     chosen = setup.settings
     problem = build_problem(setup.physics, setup.first_effects, fixed=chosen.fixed, accelerate=chosen.accelerate)
-    if reason := problem.code.uncompiled:
+    if not chosen.stretches and (reason := problem.code.uncompiled):
         notify(f"free runs take longer, not compiled: {reason}")
     return discover_in(problem, setup, notify)
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.acceleration.scalars import Program
-from pgrssnn_jax.discovery.problem import Code
+from pgrssnn_jax.discovery.code import Code
 from pgrssnn_jax.records.record import Array
 
 Rows = jax.Array | tuple[jax.Array, ...]
@@ -48,11 +48,11 @@ def with_derivatives(
     dtheta = jnp.pad(chosen, ((0, 0), (0, starts.shape[1]), (0, 0)))
     dx0 = jnp.concatenate([jnp.zeros((n_x, k)), starts], 1)[:, :, None, None]
     dx0 = jnp.broadcast_to(dx0, (*dx0.shape[:2], seq, lanes))
-    if code.written_out is None:
+    if code.rows is None:
         step, measure = (_along_arrays(code, f, theta, dtheta) for f in (code.full.step, code.full.measure))
         begin: tuple[Rows, Rows] = (x0, dx0)
     else:
-        step, measure = (_along_rows(program, theta, dtheta, dx0.shape[1:]) for program in code.written_out)
+        step, measure = (_along_rows(program, theta, dtheta, dx0.shape[1:]) for program in code.rows)
         begin = (tuple(x0), tuple(dx0))
 
     def body(carry: tuple[Rows, Rows], u_t: jax.Array) -> tuple[tuple[Rows, Rows], tuple[jax.Array, jax.Array]]:

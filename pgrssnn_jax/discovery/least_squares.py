@@ -18,9 +18,10 @@ from jaxtyping import Float, Int
 
 from pgrssnn_jax.acceleration.compiler import quick_jit
 from pgrssnn_jax.acceleration.devices import filled_up, over_devices, sum_over_devices
+from pgrssnn_jax.discovery.code import Code
 from pgrssnn_jax.discovery.free_runs import free_run, time_first, with_derivatives
 from pgrssnn_jax.discovery.marquardt import Limits, Task, begin, step
-from pgrssnn_jax.discovery.problem import Code, Problem, Signals
+from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.records.record import Array
 
 _FEW = 4  # lanes per device: fewer take as long however they are compiled
@@ -92,7 +93,7 @@ def _worth_it(code: Code, devices: int, limits: Limits, rule: StopRule, lanes: L
     """Will a program of so many lanes, written out in numbers, make up for the time that it takes to compile well?"""
     if not code.accelerate:
         return True
-    return code.written_out is not None and code.compiled is None and len(lanes.theta) > _FEW * devices
+    return code.rows is not None and code.compiled is None and len(lanes.theta) > _FEW * devices
 
 
 def _shares(lanes: Lanes, devices: int) -> bool:

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from pgrssnn_jax.discovery.code import Code
 from pgrssnn_jax.discovery.free_runs import by_start, free_run, with_derivatives
-from pgrssnn_jax.discovery.problem import Code
 from pgrssnn_jax.discovery.solve import identity_like, solve
 from pgrssnn_jax.records.record import Array
 

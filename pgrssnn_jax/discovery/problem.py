@@ -5,19 +5,17 @@
 so that one compiled program fits any choice of effects: a fit is told which numbers of θ are free.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from pgrssnn_jax.acceleration.compiled_runs import FreeRuns, Sizes, compiled_free_runs
-from pgrssnn_jax.acceleration.scalars import Program, written_out
+from pgrssnn_jax.discovery.code import Code, code_of
 from pgrssnn_jax.effects.base import Effect, SignalRange, WithEffects, add, effects_of, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
 from pgrssnn_jax.physics.simulate import first_output_state
@@ -36,38 +34,6 @@ class Slot(NamedTuple):
     label: str
     meaning: Parameter
     effect: str | None
-
-
-@dataclass(frozen=True, eq=False)
-class Code:
-    """What a compiled program depends on beside its arrays: the physics with every effect of the catalogue, θ as the
-    tree of its params, which states' initial values are unknown, and step and measurement written out in numbers, where
-    they can be. accelerate: compiled the quick way."""
-
-    full: Physics
-    unravel: Callable[[jax.Array], Any]
-    free_start: Bool[np.ndarray, " x"]
-    written_out: tuple[Program, Program] | None
-    accelerate: bool = True
-
-    @property
-    def compiled(self) -> FreeRuns | None:
-        """Free runs in C++, where the functions are written out and there is a compiler."""
-        return found if isinstance(found := self._free_runs, FreeRuns) else None
-
-    @property
-    def uncompiled(self) -> str | None:
-        """Why functions that are written out are not compiled."""
-        return found if isinstance(found := self._free_runs, str) else None
-
-    @cached_property
-    def _free_runs(self) -> FreeRuns | str | None:
-        if self.written_out is None or not self.accelerate:
-            return None
-        full, p = self.full, ravel_pytree(self.full.params)[0].size
-        start = tuple(map(int, np.flatnonzero(self.free_start)))
-        sizes = Sizes(p, len(full.states), len(full.inputs), len(full.outputs), start)
-        return compiled_free_runs(*self.written_out, sizes, full.output_timing == "after_step")
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +173,7 @@ def build_problem(
     theta = np.asarray(theta, np.float64)
     return Problem(
         physics,
-        Code(full, unravel, free, _written_out(full, unravel, len(theta)) if accelerate else None, accelerate),
+        code_of(full, unravel, len(theta), free, accelerate),
         tuple(effects),
         tuple(slots),
         theta,
@@ -215,19 +181,6 @@ def build_problem(
         high,
         np.zeros(len(theta)),
     )
-
-
-def _written_out(full: Physics, unravel: Callable[[jax.Array], Any], p: int) -> tuple[Program, Program] | None:
-    """Step and measurement as operations on the numbers of θ, x and u."""
-
-    def on_vectors(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-        return lambda theta, x, u: function(unravel(theta), x, u)
-
-    sizes = (p, len(full.states), len(full.inputs))
-    with jax.enable_x64(True):
-        step = written_out(on_vectors(full.step), sizes, moving=2)
-        measure = step and written_out(on_vectors(full.measure), sizes, moving=2)
-    return (step, measure) if step and measure else None
 
 
 def _bounds(params: Any, slots: tuple[Slot, ...]) -> tuple[np.ndarray, np.ndarray]:

@@ -14,10 +14,11 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.acceleration.compiler import quick_jit
+from pgrssnn_jax.discovery.code import Code
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.flexible import HISTORY, Where, nearness
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.problem import Code, Problem, Signals
+from pgrssnn_jax.discovery.problem import Problem, Signals
 
 _AT_ONCE = 4_000_000  # numbers of one recursion held in memory
 

@@ -24,5 +24,6 @@ FUNCTIONS = {
     "interpolated": lambda a, b: jnp.maximum(0.0, 1.0 - jnp.abs(jnp.arange(3.0) - b[0])) * a,
     "split": lambda a, b: sum(jnp.split(jnp.concatenate([a, b, a]), 2)) * jnp.repeat(b, 2),
     "passed on": lambda a, b: jnp.array([1.0, 2.0, 3.0]) + 0.0 * b[0] + a,
+    "looped": lambda a, b: jax.lax.fori_loop(0, 3, lambda _, c: jnp.sin(c) * a + b[0], a) * b[1],
     "nested": lambda a, b: jax.jit(lambda c: jnp.broadcast_to(c[None], (2, 3)).reshape(-1))(a) * jnp.repeat(b, 3),
 }

@@ -16,9 +16,10 @@ from pgrssnn_jax.acceleration import build
 from pgrssnn_jax.acceleration.build import COMPILERS
 from pgrssnn_jax.acceleration.compiled_runs import FreeRuns, Sizes, compiled_free_runs
 from pgrssnn_jax.acceleration.scalars import written_out
+from pgrssnn_jax.discovery.code import Code
 from pgrssnn_jax.discovery.discover import discover
 from pgrssnn_jax.discovery.free_runs import free_run, with_derivatives
-from pgrssnn_jax.discovery.problem import Code, build_problem
+from pgrssnn_jax.discovery.problem import build_problem
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import set_up
 from pgrssnn_jax.effects.systems import catalogue
@@ -29,6 +30,7 @@ from pgrssnn_jax.training.settings import training_settings
 pytestmark = pytest.mark.skipif(not any(map(shutil.which, COMPILERS)), reason="no C++ compiler here")
 PLANTS = {
     "tanks": lambda: cascaded_tanks(integrator="rk4"),
+    "tanks in sub-steps": lambda: cascaded_tanks(integrator="rk4", sub_steps=3),
     "linear": lambda: lgssm(A=[[0.7, 0.8], [0.0, 0.1]], B=[[-1.0], [0.1]], C=[[1.0, 0.0]]),
     "toy, measured before": lambda: toy_physics("before_step"),
 }
@@ -75,6 +77,7 @@ def both(plant: str, which: int):
 @pytest.mark.parametrize(("plant", "lanes"), [
     ("linear", 1), ("linear", 3), ("linear", 19), ("toy, measured before", 3),
     *(pytest.param("tanks", lanes, marks=pytest.mark.compiles) for lanes in (1, 3, 19)),
+    pytest.param("tanks in sub-steps", 3, marks=pytest.mark.compiles),
     *(pytest.param("toy, measured before", lanes, marks=pytest.mark.compiles) for lanes in (1, 19)),
 ])  # fmt: skip
 def test_free_runs_and_their_derivatives_are_those_of_jax(plant, lanes):

@@ -56,7 +56,8 @@ def test_later_arguments_may_be_without_tangents():
 
 
 def test_what_a_number_is_and_what_it_is_not():
-    """Loops, derivatives of one's own, places that depend on the numbers and long functions stay arrays."""
+    """Loops over arrays or of unknown length, derivatives of one's own, places that depend on the numbers and long
+    functions stay arrays."""
 
     @jax.custom_jvp
     def own(a: jax.Array) -> jax.Array:
@@ -64,7 +65,9 @@ def test_what_a_number_is_and_what_it_is_not():
 
     own.defjvp(lambda primals, tangents: (primals[0], 2.0 * tangents[0]))
     for function in (
-        lambda a: jax.lax.fori_loop(0, 3, lambda i, c: c * a, a),
+        lambda a: jax.lax.while_loop(lambda c: c[0] < 9.0, lambda c: c * a, a),
+        lambda a: jax.lax.scan(lambda c, b: (c * b, None), a, a)[0],
+        lambda a: jax.lax.fori_loop(0, 1000, lambda i, c: c * a, a),
         own,
         lambda a: jnp.zeros(3).at[jnp.argmax(a)].set(1.0),
         lambda a: jnp.exp(jnp.arange(1000.0) * a[0])[:2],

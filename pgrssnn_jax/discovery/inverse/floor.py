@@ -48,9 +48,10 @@ def filtered_away(
         return np.zeros(motion.v.shape[2])
     once = record._replace(u=motion.torque, y=motion.reading, mask=np.ones(motion.reading.shape, bool))
     again = reading._replace(shift=1.0, at_rest=False).of(once)  # a filtered position belongs to the torque of its row
-    signals = (one[:, edge : one.shape[1] - edge] for one in motion[:4])
+    reading_once, v, a, torque = (one[:, edge : one.shape[1] - edge] for one in motion[:4])
+    inside = motion._replace(reading=reading_once, v=v, a=a, torque=torque)
     fastest = fastest_of(motion)
-    first, second = (samples_of(few(one, _SAMPLES), fastest) for one in (Motion(*signals, *motion[4:]), again))
+    first, second = (samples_of(few(one, _SAMPLES), fastest) for one in (inside, again))
     lost = model.errors(theta, first) - model.errors(theta, second)
     among = first.moving & second.moving & (first.v * second.v > 0.0)
     return (lost**2 * among).sum(1) / np.maximum(among.sum(1), 1)
