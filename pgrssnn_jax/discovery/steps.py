@@ -20,6 +20,7 @@ from pgrssnn_jax.records.record import Record
 _SAMPLES = 10_000  # of a record: from so many the length of the steps shows
 _MOST = 16  # times as many sub-steps
 _CONVERGES = 4.0  # d falls by 16 with each doubling in a method of order 4; beside jumps of a derivative by 2
+_ROUNDING = 1e-9  # of an output's spread: what numbers in a file, and sums over a run, leave
 Errors = Float[np.ndarray, "seq time y"]
 
 
@@ -36,8 +37,9 @@ def with_short_steps(physics: Physics, record: Record, notify: Callable[[str], N
         found = free_run(shorter, u, first_output_state(shorter, y[:, 0], u[:, 0]))[0]
         return np.where(mask, y - np.asarray(found), 0.0)
 
+    spread = np.where(mask, y, 0.0).var((0, 1))
     with jax.enable_x64(True):
-        found = _enough(errors, mask)
+        found = _enough(errors, mask, _ROUNDING**2 * spread + np.finfo(float).tiny)
     if found == 1:
         return physics
     notify(
@@ -47,19 +49,22 @@ def with_short_steps(physics: Physics, record: Record, notify: Callable[[str], N
     return physics.variant(sub_steps=found * given)
 
 
-def _enough(errors: Callable[[int], Errors], mask: Bool[np.ndarray, "seq time y"]) -> int:
-    """How many times as many sub-steps; errors: of the free run with so many."""
+def _enough(
+    errors: Callable[[int], Errors], mask: Bool[np.ndarray, "seq time y"], least: Float[np.ndarray, " y"]
+) -> int:
+    """How many times as many sub-steps; errors: of the free run with so many; least: variance of noise, of data without
+    any."""
     first = here = errors(1)
     times, before, noise = 1, np.inf, np.ones(here.shape[-1])
     while times < _MOST:
         finer = errors(2 * times)
         if not (np.isfinite(here).all() and np.isfinite(finer).all()):
             return 1
-        noise = white_variance(finer, mask)
-        nats = 0.5 * float((((finer - here) ** 2).sum((0, 1)) / noise).sum())
-        if nats <= 1.0:
+        noise, change = np.maximum(white_variance(finer, mask), least), ((finer - here) ** 2).sum((0, 1))
+        if 0.5 * (change / noise).sum() <= 1.0:
             break
-        if nats * _CONVERGES**2 > before:
+        if (relative := (change / least).sum()) * _CONVERGES**2 > before:
             return 1
-        times, here, before = 2 * times, finer, nats
-    return times if times == 1 or ((here**2 - first**2).sum((0, 1)) / noise).sum() < 0.0 else 1
+        times, here, before = 2 * times, finer, relative
+    nearer = ((here.var(1) - first.var(1)).sum(0) / noise).sum() < 0.0  # a wrong start may leave a mean
+    return times if nearer else 1

@@ -1,5 +1,6 @@
 """Integration steps that are short enough for a record."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -75,6 +76,16 @@ def test_what_more_steps_do_not_help_stays(physics):
         raise AssertionError(line)
 
     assert with_short_steps(physics, record(physics.dt), say) is physics
+
+
+@pytest.mark.parametrize(("long", "expected"), [(True, [1]), (False, [2, 4, 8, 16])])
+def test_data_without_noise_are_no_division_by_zero(long, expected):
+    given, dt = record(0.005), 0.005
+    u = given.u[0].astype(float)
+    with jax.enable_x64(True):
+        own = free_run(motor(dt), u[None], np.zeros((1, 2)))[0]
+    y = np.asarray(own) if long else exact(u[:, 0], dt)[None]
+    assert steps(with_short_steps(motor(dt), given._replace(y=y), print)) in expected
 
 
 def test_data_that_were_simulated_with_long_steps_keep_them():

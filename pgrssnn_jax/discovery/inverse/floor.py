@@ -3,8 +3,8 @@
     floor² = σ_u² + (σ_a M)² + mean (û(F q) - û(F F q))²
 
 σ: from the spectra; M: the inertia that accelerations move; F: the filter (`motion.py`), û: the torques of the final
-model. What F takes from a motion once is judged by what it takes from the filtered one: a program whose acceleration
-jumps has frequencies that the noise hides.
+model. What F takes from a motion once is judged by what it takes from the filtered one. That is less where
+accelerations jump, because the frequencies above the cut-off are hidden by the noise.
 """
 
 import numpy as np
@@ -42,7 +42,8 @@ def floor_of(
 def filtered_away(
     model: Torques, reading: Reading, record: Record, motion: Motion, theta: Float[np.ndarray, " p"]
 ) -> Float[np.ndarray, " n"]:
-    """Mean square of the torque that the filter of the positions takes away while a joint moves, Nm²."""
+    """Mean square of the torque that the filter of the positions takes away while a joint moves, Nm²; zero where
+    nothing is filtered, and in sequences that are too short to lose their ends again."""
     edge = reading.edge
     if motion.cutoff is None or motion.v.shape[1] < 4 * edge:
         return np.zeros(motion.v.shape[2])
