@@ -34,7 +34,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
 
     said: dict[str, Any] = {
         **described(effect),
-        "channel_names": _channel_names(problem.physics, effect),
+        "channel_names": channel_names(problem.physics, effect),
         "parameters": fitted(problem, final, name),
         "region": _region(found, acting),
         "active_fraction": float(acting.sum() / within_record(found.signals).sum()),
@@ -103,7 +103,7 @@ def interval(value: Any, std: Any, freedom: float) -> list[Any]:
     return [(np.asarray(value) - half).tolist(), (np.asarray(value) + half).tolist()]
 
 
-def _channel_names(physics: Physics, effect: Effect) -> list[str]:
+def channel_names(physics: Physics, effect: Effect) -> list[str]:
     """Signals that an effect has one number for each of; empty where it has not."""
     states = {VELOCITY: velocities(physics), LEVEL: levels(physics)}.get(effect.channels, [])
     signals = {"input": physics.inputs, "output": physics.outputs}.get(effect.channels, ())

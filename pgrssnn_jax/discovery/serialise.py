@@ -9,6 +9,7 @@ from jaxtyping import Float
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import (
+    channel_names,
     closed_on_test,
     finding,
     fitted,
@@ -136,6 +137,7 @@ def _alternatives(found: Discovery) -> list[dict[str, Any]]:
                     "name": other.name,
                     "instead_of": name,
                     "gain": float(_energy(found.selection.screenings[name], other.gain)),
+                    "channel_names": channel_names(found.problem.physics, found.problem.effect(other.name)),
                     "parameters": fitted(found.problem, other.model, other.name) if other.model else {},
                     "experiment": _experiment(found.problem, name, other.name),
                 }

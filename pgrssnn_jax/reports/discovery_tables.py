@@ -44,16 +44,21 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
 def open_tables(discovery: Discovery) -> list[Table]:
     """What could not be told; none where there is nothing of the kind."""
     others = [
-        [str(row["name"]), percent(row.get("gain")), str(row.get("experiment") or MISSING)]
+        [str(row["name"]), _numbers(row), percent(row.get("gain")), str(row.get("experiment") or MISSING)]
         for row in discovery.get("alternatives") or ()
     ]
     silent = [[str(row["name"]), str(row.get("reason") or MISSING)] for row in discovery.get("untestable") or ()]
-    header = ("effect", "error energy taken away", "experiment that would tell")
+    header = ("effect", "numbers", "error energy taken away", "experiment that would tell")
     tables = [
-        _table("Alternatives that these data cannot tell apart", header, others, left=3),
+        _table("Alternatives that these data cannot tell apart", header, others, left=4),
         _table("Effects that these data cannot test", ("effect", "why"), silent, left=2),
     ]
     return [table for table in tables if table.rows]
+
+
+def _numbers(row: Mapping[str, Any]) -> str:
+    """Of an alternative; files of earlier versions have none."""
+    return ", ".join(f"{quantity.name} = {quantity.words}" for quantity in facts.quantities(row)) or MISSING
 
 
 def discovery_summary(discovery: Discovery) -> Group:

@@ -216,10 +216,18 @@ def test_named_effects_beside_something_without_a_name_are_called_stand_ins():
 
 
 def test_what_could_not_be_told_is_told():
-    told = {"alternatives": [{"name": "leak_tank1", "gain": 0.4, "experiment": "a step with the pump off"}]}
+    number = {"value": [0.0123], "std": [0.0004], "unit": "1/s", "symbol": "r"}
+    row = {"name": "leak_tank1", "gain": 0.4, "experiment": "a step with the pump off", "parameters": {"rate": number}}
+    told = {"alternatives": [row]}
     told |= {"formula": "-0.02 max(x1 - 7.5, 0)", "spectrum": {"period_s": 12.5, "amplitude": 0.2, "unit": "V"}}
     for text in (Reader(page(TANK[0] | told)).text, printed(TANK[0] | told, 120)):
-        for words in ("leak_tank1", "a step with the pump off", "-0.02 max(x1 - 7.5, 0)", "never runs below 0.8 V"):
+        for words in (
+            "leak_tank1",
+            "0.0123",
+            "a step with the pump off",
+            "-0.02 max(x1 - 7.5, 0)",
+            "never runs below 0.8 V",
+        ):
             assert words in text
     assert "period of 12.5 s" in Reader(page(TANK[0] | told)).text
 
