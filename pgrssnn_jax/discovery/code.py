@@ -46,7 +46,7 @@ class Code:
 
     @property
     def uncompiled(self) -> str | None:
-        """Why there are none, where they were asked for."""
+        """Why free runs are not compiled, where they were to be."""
         if self.accelerate and self.written_out is None:
             return f"the equations have operations that are not written out in numbers, or more than {_MOST_COMPILED}"
         return found if isinstance(found := self._free_runs, str) else None
