@@ -2,8 +2,8 @@
 
     y_k: free run of the nominal physics with k sub-steps        d = y_k - y_2k        Σ (d / σ)² / 2 ≤ 1
 
-Errors of this size change the log-likelihood of the record by one nat at most, less than any number that is fitted
-gains by luck. σ: of the white noise in the errors of y_2k (`noise.py`).
+An error d of this size changes the log-likelihood of the record by at most one nat. A parameter that is fitted to noise
+alone gains half a nat on average. σ: standard deviation of the white noise in the residuals of y_2k (`noise.py`).
 """
 
 from collections.abc import Callable
@@ -52,8 +52,8 @@ def with_short_steps(physics: Physics, record: Record, notify: Callable[[str], N
 def _enough(
     errors: Callable[[int], Errors], mask: Bool[np.ndarray, "seq time y"], least: Float[np.ndarray, " y"]
 ) -> int:
-    """How many times as many sub-steps; errors: of the free run with so many; least: variance of noise, of data without
-    any."""
+    """Factor by which the number of sub-steps grows. errors: residuals of the free run for a factor; least: variance
+    that the noise of an output has at least, in data without noise."""
     first = here = errors(1)
     times, before, noise = 1, np.inf, np.ones(here.shape[-1])
     while times < _MOST:
