@@ -1,7 +1,7 @@
 """From the equations of a plant to a case: inputs, thresholds where the signals are, noise, records.
 
     v = clip(dead(play(z) + u_offset), -u_top, u_top) + hum sin(2π (t / period + φ)),   z: u late by `delay`, with a lag
-    y = clip(y_gain measured + y_offset + e, -y_top, y_top),   one offset per output
+    y = clip(z + y_bend z² / y_span + y_offset + e, -y_top, y_top),   z: y_gain measured, one offset per output
 
 dead(v) = sign(v) max(|v| - u_dead, 0), play(z)_t = min(max(play(z)_{t-1}, z_t - u_play), z_t + u_play). A plant is
 integrated by Runge-Kutta 4 in SUB_STEPS steps per sample; dry friction is the exact solution under the force of each of
@@ -201,5 +201,6 @@ def _humming(numbers: Numbers, shape: tuple[int, ...]) -> np.ndarray | float:
 def reading(plant: Plant, numbers: Numbers, states: np.ndarray, e: np.ndarray | float = 0.0) -> np.ndarray:
     """`[record, time, y]`; the range of a sensor ends after its noise."""
     top = numbers.get("y_top", np.inf)
-    still = numbers.get("y_gain", 1.0) * states[..., list(plant.measured)] + numbers.get("y_offset", 0.0)
-    return np.clip(still + e, -top, top)
+    z = numbers.get("y_gain", 1.0) * states[..., list(plant.measured)]
+    curved = z + numbers.get("y_bend", 0.0) * z**2 / numbers.get("y_span", 1.0)
+    return np.clip(curved + numbers.get("y_offset", 0.0) + e, -top, top)

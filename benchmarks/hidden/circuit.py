@@ -33,6 +33,7 @@ CATALOGUE = Catalogue(
         "input_dead_zone": "amplifier",
         "input_delay": "delay",
         "sensor_saturation": "sensor",
+        "sensor_nonlinearity": "sensor",
         "coil_saturation": "coil",
         "periodic_disturbance": "disturbance",
     },
@@ -49,6 +50,7 @@ CATALOGUE = Catalogue(
 NOMINAL = {"L": 0.1, "C": 1e-3}  # H, F
 _RESISTANCE = 4.0  # ohm
 _DT = 0.002  # s
+_SPAN = 10.0  # V
 
 
 def circuit(L: float, C: float) -> Physics:  # noqa: N803 - the symbols of the field
@@ -84,6 +86,7 @@ _DRAWS: dict[str, Draw] = COMMON | {
     "input_offset": lambda rng: {"u_offset": either_sign(rng, 0.3, 1.0)},
     "sensor_offset": lambda rng: {"y_offset": either_sign(rng, 0.3, 1.0)},
     "sensor_gain": lambda rng: {"y_gain": 1 + either_sign(rng, 0.06, 0.2)},
+    "sensor_nonlinearity": lambda rng: {"y_bend": either_sign(rng, 0.1, 0.25), "y_span": _SPAN},
     "leak": lambda rng: {"leak": uniform(rng, 15.0, 60.0)},
     "input_dead_zone": lambda rng: {"u_dead": uniform(rng, 0.2, 0.8)},
     "coil_saturation": lambda rng: {"i_top": uniform(rng, 0.2, 0.4)},

@@ -3,7 +3,7 @@
     f     = k3 curve(clip(z + u_offset - u_dead, 0, u_top)),   lag dz/dt = u(t - delay) - z          pump flow
     dx1/dt = (1 - bypass) f - d - leak x1,   d = k1 √x1 - k2 x1                 x1 ≤ rim_1, the rest spills
     dx2/dt = bypass f + d - k4 √r (x2 / r)^g + k5 x2 + share · spill            x2 ≤ rim_2, the rest is lost
-    y      = min(x2 + y_offset + e, y_top)
+    y      = min(x2 + y_bend x2 (1 - x2 / 10) + y_offset + e, y_top)
 
 x1, x2, u, y in V, time in s. curve(v) = v (1 + a v / 10) or r_u (v / r_u)^p. At the reference level r an outlet of any
 exponent lets out the same: k4 keeps the unit and the size of the square-root law.
@@ -44,6 +44,7 @@ class Rig(NamedTuple):
     rim_2: float = inf
     exponent: float = 0.5
     y_offset: float = 0.0
+    y_bend: float = 0.0
     y_top: float = inf
 
 
@@ -89,4 +90,5 @@ def levels(rig: Rig, u: Wave, start: tuple[float, float], sub_steps: int = SUB_S
 
 def reading(rig: Rig, lower: Wave, noise: Wave | float = 0.0) -> Wave:
     """V; the range of the sensor ends after its noise, as on the measured rig."""
-    return np.minimum(lower + rig.y_offset + noise, rig.y_top)
+    curved = lower + rig.y_bend * lower * (1 - lower / 10)
+    return np.minimum(curved + rig.y_offset + noise, rig.y_top)

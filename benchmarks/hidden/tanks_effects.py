@@ -29,6 +29,7 @@ CATALOGUE = Catalogue(
         "input_lag": "delay",
         "sensor_offset": "sensor",
         "sensor_saturation": "sensor",
+        "sensor_nonlinearity": "sensor",
     },
     noises=(0.005, 0.02, 0.05),
     identical={"pump_saturation": ("input_saturation",), "pump_dead_zone": ("input_dead_zone",)},
@@ -84,4 +85,5 @@ DRAWS: dict[str, Draw] = {
     "input_lag": lambda rng, _: {"lag": uniform(rng, 4.0, 12.0)},
     "sensor_offset": lambda rng, _: {"y_offset": either_sign(rng, 0.4, 1.5)},
     "sensor_saturation": lambda rng, _: {"y_top": Quantile(uniform(rng, 0.75, 0.93), "reading")},
+    "sensor_nonlinearity": lambda rng, _: {"y_bend": either_sign(rng, 0.1, 0.3)},
 }

@@ -17,8 +17,9 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted
 from pgrssnn_jax.effects.memory import with_memory
-from pgrssnn_jax.effects.sensors_actuators import remembered_inputs, unit_of_all
+from pgrssnn_jax.effects.sensors_actuators import remembered_inputs
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
+from pgrssnn_jax.physics.signals import unit_of_all
 
 _TURN = 2.0 * np.pi
 _PHASES = (0.0, _TURN / 3.0, 2.0 * _TURN / 3.0)  # rad: one is within 60° of any phase, from where its fit finds it

@@ -7,7 +7,7 @@
 One number per channel, in the channel's unit; delays and time constants in s.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Literal
 
 import jax
@@ -15,8 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted, on_input, on_output
+from pgrssnn_jax.effects.characteristic import sensor_nonlinearity
 from pgrssnn_jax.effects.memory import with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
+from pgrssnn_jax.physics.signals import unit_of_all
 
 LONGEST_DELAY = 6  # samples that input_delay remembers
 _INFINITE = float("inf")
@@ -34,6 +36,7 @@ def any_system_effects(physics: Physics) -> tuple[Effect, ...]:
         saturation(physics, "input", "Input saturation", "the actuator cannot follow beyond its limits"),
         input_lag(physics),
         input_delay(physics),
+        sensor_nonlinearity(physics),
         offset(physics, "output", "the zero of the sensor has shifted"),
         gain(physics, "output", "the sensor is calibrated to another slope"),
         saturation(physics, "output", "End of the sensor's range", "the sensor cannot read beyond its range"),
@@ -69,12 +72,6 @@ def remembered_inputs(physics: Physics) -> Needs:
     names, dt = [signal.name for signal in physics.inputs], physics.dt
     words = f"the input{'s' if len(names) > 1 else ''} {', '.join(names)} with dt={dt:g} s"
     return Needs(words, lambda other: [s.name for s in other.inputs] == names and other.dt == dt)
-
-
-def unit_of_all(signals: Sequence[Signal]) -> str:
-    """Empty where they differ."""
-    units = {signal.unit for signal in signals}
-    return units.pop() if len(units) == 1 else ""
 
 
 def _spread(span: np.ndarray, share: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """What the numbers of a physics mean: its parameters and its signals, and the sentence for what is none of them."""
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,6 +47,12 @@ class Signal(NamedTuple):
     start: float | None = None
     fit_initial: bool = False
     inner: bool = False
+
+
+def unit_of_all(signals: Sequence[Signal]) -> str:
+    """Empty where they differ."""
+    units = {signal.unit for signal in signals}
+    return units.pop() if len(units) == 1 else ""
 
 
 def is_parameter(leaf: object) -> bool:

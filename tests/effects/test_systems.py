@@ -11,7 +11,7 @@ from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 ANY = {
     "sensor_offset", "sensor_saturation", "sensor_gain", "input_offset", "input_delay", "input_saturation",
-    "input_dead_zone", "input_gain",
+    "input_dead_zone", "input_gain", "sensor_nonlinearity",
 }  # fmt: skip
 TANKS = {
     "overflow_1to2", "overflow_lost", "tank2_overflow", "pump_dead_zone", "pump_saturation", "pump_nonlinearity",
