@@ -112,6 +112,11 @@ def hysteresis(physics: Physics, places: list[Place]) -> Effect:
         v, q = largest(span, places), largest_ways(span, places, physics.dt)
         return [{"k": k * (v / q) ** 2, "s": s * q} for k in _STIFF for s in _YIELD]
 
+    def yields(n: Numbers, span: SignalRange) -> bool:
+        """Over more than the whole way of its position a spring is linear, and with a large z at the start a constant
+        force."""
+        return bool(np.any(n["s"] < np.ptp(span.x[:, ways], axis=0)))
+
     return Effect(
         name,
         {
@@ -129,6 +134,7 @@ def hysteresis(physics: Physics, places: list[Place]) -> Effect:
         simpler=("linear_spring", "coulomb_friction"),
         channels=VELOCITY,
         elaborate=True,
+        credible=yields,
     )
 
 

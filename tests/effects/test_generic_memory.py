@@ -8,6 +8,7 @@ import pytest
 from oscillators import START, forces, oscillator, simulated, slope, solved
 
 from pgrssnn_jax.effects import add_effect, catalogue
+from pgrssnn_jax.effects.base import SignalRange
 from pgrssnn_jax.models.scaling import fit_scaling
 from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.records.record import Channel, RecordInfo, record
@@ -42,6 +43,14 @@ def test_a_spring_that_never_yields_is_linear():
     found = simulated(add_effect(oscillator(), "hysteresis", k=K))
     expected = simulated(add_effect(add_effect(oscillator(), "linear_spring", k=K), "constant_force", a=K * START[0]))
     np.testing.assert_allclose(found[:, :2], expected, atol=1e-9)
+
+
+def test_a_spring_that_does_not_yield_within_its_way_is_not_believed():
+    hysteresis = next(effect for effect in catalogue(oscillator()) if effect.name == "hysteresis")
+    assert hysteresis.credible is not None
+    x, other = np.array([[-0.2, -9.0], [0.3, 9.0]]), np.zeros((2, 1))
+    for s, believed in ((0.4, True), (0.6, False), (1e11, False)):
+        assert hysteresis.credible({"k": np.array([K]), "s": np.array([s])}, SignalRange(x, other, other)) is believed
 
 
 def test_hysteresis_takes_further_effects_inside_and_around():
