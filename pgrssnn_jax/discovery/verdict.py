@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening
-from pgrssnn_jax.discovery.nameless import Nameless
+from pgrssnn_jax.discovery.nameless import Nameless, least_fall
 from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
@@ -90,21 +90,19 @@ def confirmed(judgement: Judgement, improvement: tuple[float, float], relative_e
 
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:
-    """A correction without a name that beats the null and predicts better than the named effects, in their place or,
-    by a good part of the gap, beside them."""
+    """A correction without a name that beats the null and predicts better than the named effects, in their place or
+    beside them, by a good part of the gap or of what they leave."""
     final = selection.final
-    gap = max(selection.first.rms() - selection.floor, 0.0)
-    named = bool(final.estimate.active)
     segmented = final.free_run is not None  # the names of an arm act on all joints, a correction on one
-    beside = criteria.nameless if named and not segmented else criteria.share
+    beside = criteria.nameless if final.estimate.active and not segmented else criteria.share
     wanted = [(nameless.alone, final, criteria.share)] if nameless.alone else []
     wanted.append((nameless.beside, nameless.beside.base, beside))
-    for screening, rival, least in wanted:
+    for screening, rival, share in wanted:
         for one in screening.candidates:
             if one.model is None or screening.p_value(one) > criteria.p_value:
                 continue
             closed = selection.last.rms() - screening.rms(one.model)
-            if closed >= least * gap and _surely_better(one.model, rival, criteria):
+            if closed >= least_fall(selection, criteria, share) and _surely_better(one.model, rival, criteria):
                 return screening, one
     return None
 

@@ -112,6 +112,19 @@ def test_a_correction_is_unknown_where_no_name_helps(problem):
 
 
 @pytest.mark.parametrize(
+    ("corrected", "expected"), [(1.4, Verdict.UNKNOWN_EFFECT), (1.6, Verdict.EFFECT_FOUND)]
+)  # half of what names leave is wanted: of an rms error of 1.414 to 1.207
+@pytest.mark.parametrize("way", ["beside", "instead"])
+def test_a_correction_of_most_of_what_names_leave_is_unknown(problem, corrected, expected, way):
+    assert judged(problem, 400.0, 2.0, **{way: corrected}).verdict is expected
+
+
+def test_what_names_leave_may_be_too_little_to_ask(problem):
+    """Least is a share of 0.002 of a gap of 99 noises: 0.2."""
+    assert judged(problem, 1e4, 1.3, beside=1.0).verdict is Verdict.EFFECT_FOUND
+
+
+@pytest.mark.parametrize(
     ("corrected", "expected"), [(2.0, Verdict.UNKNOWN_EFFECT), (144.0, Verdict.EFFECT_FOUND)]
 )  # a quarter of the gap of 19 is wanted: from an rms error of 14 to 9.25
 def test_beside_names_a_correction_must_close_a_good_part_of_the_gap(problem, corrected, expected):
