@@ -109,9 +109,11 @@ def score_candidates(
     criteria: Criteria,
     rng: np.random.Generator,
     without: Sequence[str],
+    known: Sequence[Candidate] = (),
 ) -> Screening:
-    """base: a guess is fitted first. Fits begin at the nominal physics and start too: without an effect, the other
-    numbers bend until they stand for it, and may not find back when it is there."""
+    """base: a guess is fitted first; known: candidates that have been fitted beside it. Fits begin at the nominal
+    physics and start too: without an effect, the other numbers bend until they stand for it, and may not find back when
+    it is there."""
     if isinstance(base, Guess):
         base = _fitted_base(problem, signals, base, settings, criteria)
     here, span = base.estimate.guess, signal_range_of(problem, signals, base.estimate.guess)
@@ -122,17 +124,21 @@ def score_candidates(
     gain = partial(_gain, problem, signals, base)
     if not here.active:  # beside effects less is bent, and the leading ones begin there in the end
         guesses += _beside(problem, span, _nominal(problem, signals, here), without)
+    done = {c.name for c in known}
+    guesses = [guess for guess in guesses if guess.active[-1] not in done]
     rough = fit_all(problem, signals, guesses, settings.roughly)
     rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active[-1], g.theta, span)]
     rough.sort(key=lambda found: found[1])
-    few = [Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough)]
+    few = [*known, *(Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough))]
+    few.sort(key=lambda c: -c.gain)
     null = _null(problem, signals, (at, named), few[0] if few else None, settings, criteria, rng)
     hopeful = any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
     fitted = _fitted(problem, signals, _finalists(rough, criteria.finalists), settings, criteria) if hopeful else []
     found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]
     found = [c for c in found if problem.credible(c.name, c.guess.theta, span)]
     found += [c for c in few if c.name not in {other.name for other in found}]
-    noise = white_noise(signals, [base, *(model for model, _ in fitted)])
+    models = [*(model for model, _ in fitted), *(c.model for c in known if c.model)]
+    noise = white_noise(signals, [base, *models])
     return Screening(base, ranked(found), null, visible(at, named), signals.size, noise)
 
 

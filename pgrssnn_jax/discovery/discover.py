@@ -3,9 +3,7 @@
 record, physics ──> recalibrated ──> selected effects ──> judgement ──> final numbers ──> test record, once
 """
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -13,25 +11,24 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.discovery.corrected import Corrected
-from pgrssnn_jax.discovery.estimate import Guess, evaluate, signal_range_of
+from pgrssnn_jax.discovery.estimate import Guess, evaluate
 from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
-from pgrssnn_jax.discovery.noise import longest_memory, noise_floor
+from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.nonparametric import Corrections
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried
-from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
+from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.responses import path_of
-from pgrssnn_jax.discovery.scoring import Scoring, scoring
-from pgrssnn_jax.discovery.select import Selection, counting, remembered, select
-from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
+from pgrssnn_jax.discovery.scoring import Scoring
+from pgrssnn_jax.discovery.search import Named, finished, search, timed, with_elaborate_effects
+from pgrssnn_jax.discovery.select import Selection
+from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
 from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention
-from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.records.record import Record
 
 _LOCATED = 24  # sequences or segments whose correction is estimated
@@ -65,16 +62,6 @@ class Discovery(NamedTuple):
     seconds: dict[str, float]
 
 
-class Named(NamedTuple):
-    """A problem with its record and what was found in it. known: puts the prior of the physics on problems."""
-
-    problem: Problem
-    how: Scoring
-    known: Callable[[Problem], Problem]
-    nominal: Guess
-    selection: Selection
-
-
 class Judged(NamedTuple):
     """formula: of a correction without a name; convention: an effect that is none, but a way of reading."""
 
@@ -100,23 +87,18 @@ def discover_in(
     physics and catalogue."""
     chosen, seconds, corrected = setup.settings, dict[str, float](), corrected or Corrected()
     with jax.enable_x64(True):
-        named = _named(problem, setup, notify, seconds)
-        if further := _further(named, setup, chosen.criteria):
-            notify(f"errors stay above the noise: looking for {', '.join(effect.name for effect in further)} too")
-            wanted = [effect for effect in setup.effects if not effect.elaborate or effect in further]
-            whole = corrected.with_catalogue(problem, tuple(wanted))
-            if not named.how.segmented or _elaborate_counts(named, whole, setup):
-                named = _named(whole, setup, notify, seconds)
+        first = search(problem, setup, notify, seconds)
+        named = finished(with_elaborate_effects(first, setup, corrected, notify, seconds), seconds)
         notify("locating: the correction that each equation would need")
-        with _timed(seconds, "locate"):
+        with timed(seconds, "locate"):
             location = _located(named)
         notify("judging: what corrections without a name would explain")
-        with _timed(seconds, "judge"):
+        with timed(seconds, "judge"):
             judged = _judged(named, corrected, chosen)
         notify("proving: intervals, and the test record")
-        with _timed(seconds, "numbers"):
+        with timed(seconds, "numbers"):
             numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria.block)
-        with _timed(seconds, "prove"):
+        with timed(seconds, "prove"):
             whole, train, test = _validated(named, numbers, setup)
     return Discovery(
         problem=named.problem,
@@ -136,55 +118,13 @@ def discover_in(
     )
 
 
-def _named(problem: Problem, setup: Setup, notify: Callable[[str], None], seconds: dict[str, float]) -> Named:
-    """The physics recalibrated, and the effects that are missing."""
-    chosen = setup.settings
-    how = scoring(problem, setup.estimation, chosen, setup.start, np.random.default_rng(chosen.seed))
-    with _timed(seconds, "recalibrate"):
-        nominal = nominal_guess(problem, how.signals(problem), how.settings)
-        begun = recalibrated_guess(problem, how.signals(problem), nominal, how.settings, chosen)
-        known = _as_known(problem, how, begun, chosen)
-        problem = known(problem)
-    criteria = _criteria(how, chosen)
-    with _timed(seconds, "name"):
-        screened = remembered(how.screen(problem, chosen.without, criteria), notify)
-        selection = select(problem, begun, criteria, screened)
-    with _timed(seconds, "numbers"):
-        selection = how.finish(problem, selection)
-    return Named(problem, how, known, nominal, selection)
-
-
-def _criteria(how: Scoring, chosen: DiscoverySettings) -> Criteria:
-    return chosen.criteria._replace(beam=0) if how.segmented else chosen.criteria
-
-
-def _further(named: Named, setup: Setup, criteria: Criteria) -> list[Effect]:
-    """Elaborate effects whose fits have somewhere to begin, where there are errors for them to explain: more than the
-    noise, or a line, which is seen well before it adds a tenth to the errors."""
-    problem, selection = named.problem, named.selection
-    span = signal_range_of(problem, named.how.signals(problem), selection.last.base.estimate.guess)
-    if not span.lines and selection.last.rms(selection.final) <= criteria.above * selection.floor:
-        return []
-    return [effect for effect in setup.effects if effect.elaborate and effect.guesses(span)]
-
-
-def _elaborate_counts(named: Named, whole: Problem, setup: Setup) -> bool:
-    """Is an elaborate effect selected beside the effects already found? whole: the problem with the entire catalogue.
-    One screening takes seconds, a second search in segments minutes."""
-    how, last, criteria = named.how, named.selection.last.base.estimate, _criteria(named.how, setup.settings)
-    plain = [effect.name for effect in setup.first_effects]
-    theta, x0 = carried(named.problem, whole, last.theta, last.x0, how.signals(whole).start)
-    screening = how.screen(whole, plain, criteria)(how.fitted(whole, Guess(last.active, theta, x0)))
-    return counting(whole, criteria, named.selection.first, screening)
-
-
 def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Judged:
     """Nonparametric corrections beside the names, and the verdict on the estimation record."""
-    problem, how, known, nominal, selection = named
+    problem, how, selection = named.problem, named.how, named.selection
     active = tuple(sorted({*selection.final.estimate.active, *selection.last.base.estimate.active}))
-    corrections = Corrections(problem, corrected, active, known, how.signals, how.settings)
+    corrections = Corrections(problem, corrected, active, named.known, how.signals, how.settings)
     nameless = look_beyond(corrections, how, selection, chosen.criteria, np.random.default_rng(chosen.seed))
-    before = evaluate(problem, how.signals(problem), nominal)
+    before = evaluate(problem, how.signals(problem), named.nominal)
     rms = (before.cost / selection.first.size) ** 0.5
     convention = reading_convention(problem, selection.final)
     judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
@@ -227,19 +167,3 @@ def _located(named: Named) -> Location:
     u, y, weight, block = (end_to_end(a, pieces, axis=0) for a in few[:4])
     whole = Signals(u, y, weight, block, few.start[::pieces], few.precision[::pieces])
     return Location(whole, correction, end_to_end(path.x, pieces, axis=0))
-
-
-def _as_known(problem: Problem, how: Scoring, begun: Guess, chosen: DiscoverySettings) -> Callable[[Problem], Problem]:
-    """Problems whose physics has a prior; the noise is what a free refit leaves."""
-    if chosen.tolerance is None or how.segmented:
-        return lambda same: same
-    tolerance, record = chosen.tolerance, how.signals(problem)
-    noise = noise_floor(evaluate(problem, record, begun).error, record.weight) / record.size
-    return lambda other: other.held(tolerance, noise)
-
-
-@contextmanager
-def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
-    started = time.perf_counter()
-    yield
-    seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - started

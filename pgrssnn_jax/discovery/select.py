@@ -103,12 +103,18 @@ def _as_good(one: Candidate, best: Candidate) -> bool:
     return worse <= error
 
 
-def remembered(screen: Screened, notify: Callable[[str], None]) -> Screened:
-    """The scores of the whole catalogue beside a model; each is made once."""
-    known: dict[tuple[str, ...], Screening] = {}
+Screenings = dict[tuple[str, ...], Screening]  # by the sorted names of the base's effects
+
+
+def active_in(base: Guess | Model) -> tuple[str, ...]:
+    return base.active if isinstance(base, Guess) else base.estimate.active
+
+
+def remembered(screen: Screened, known: Screenings, notify: Callable[[str], None]) -> Screened:
+    """The scores of the whole catalogue beside a model; each is made once, and kept in `known`."""
 
     def screened(base: Guess | Model) -> Screening:
-        active = base.active if isinstance(base, Guess) else base.estimate.active
+        active = active_in(base)
         key = tuple(sorted(active))
         if key not in known or (isinstance(base, Model) and base.score > known[key].base.score + 1.0):
             known[key] = screen(base)

@@ -50,7 +50,7 @@ def found(problem: Problem, energies: Mapping[str, float], p_value: Mapping[str,
         models = {name: model(problem, energy((*active, name)), (*active, name)) for name in others}
         return screening(own, models, {k: p for k, p in chances.items() if k in models}, **seen)
 
-    screened = remembered(screen, lambda line: None)
+    screened = remembered(screen, {}, lambda line: None)
     selection = select(problem, neutral(problem), Criteria(), screened)
     assert set(selection.screenings) == set(selection.final.estimate.active)
     assert selection._replace(noise=0.04).floor == pytest.approx(0.2)  # a deviation of a variance
