@@ -51,9 +51,10 @@ def look_beyond(
 
 def least_fall(selection: Selection, criteria: Criteria, share: float) -> float:
     """Fall of the weighted RMS error below that of the names, by which a correction shows that they miss something: a
-    share of the gap, or as for an effect most of the rest."""
+    share of the gap or, where errors stay clearly above the noise, most of the rest, as for an effect."""
     gap, left = (max(one.rms() - selection.floor, 0.0) for one in (selection.first, selection.last))
-    if selection.final.free_run is not None:  # the free run over sequences has errors of its own scale
+    segmented = selection.final.free_run is not None  # whose free run over sequences has errors of its own scale
+    if segmented or selection.last.rms() <= criteria.clear * selection.floor:
         return share * gap
     return max(min(share * gap, criteria.rest * left), criteria.exact * gap)
 
