@@ -17,6 +17,7 @@ from pgrssnn_jax.discovery.scoring import Scoring, scoring
 from pgrssnn_jax.discovery.select import Screenings, Selection, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
+from pgrssnn_jax.effects.base import Effect
 
 Notify = Callable[[str], None]
 
@@ -53,25 +54,41 @@ def search(problem: Problem, setup: Setup, notify: Notify, seconds: dict[str, fl
 def with_elaborate_effects(
     first: Named, setup: Setup, corrected: Corrected, notify: Notify, seconds: dict[str, float]
 ) -> Named:
-    """Searched once more with the elaborate effects, where they may explain what is left."""
-    problem, how, chosen = first.problem, first.how, setup.settings
-    further = further_effects(problem, how.signals(problem), first.selection, setup.effects, chosen.criteria)
-    if not further:
-        return first
-    notify(f"errors stay above the noise: looking for {', '.join(effect.name for effect in further)} too")
-    wanted = [effect for effect in setup.effects if not effect.elaborate or effect in further]
-    whole = first.known(corrected.with_catalogue(problem, tuple(wanted)))
-    carry, criteria = Carry(problem, whole, how.signals(whole).start), _criteria(how, chosen)
-    if how.segmented:
-        plain = [effect.name for effect in setup.first_effects]
-        counts = elaborate_counts(how, whole, first.selection, carry, plain, criteria)
-        return search(whole, setup, notify, seconds) if counts else first
+    """Searched once more with the elaborate effects, where they may explain what is left; and again where only then the
+    errors show a line (of a disturbance behind a backlash, say)."""
+    named, tried = first, set[str]()
+    while further := [effect for effect in _further(named, setup) if effect.name not in tried]:
+        notify(f"errors stay above the noise: looking for {', '.join(effect.name for effect in further)} too")
+        tried |= {effect.name for effect in further}
+        wanted = [effect for effect in setup.effects if not effect.elaborate or effect.name in tried]
+        whole = named.known(corrected.with_catalogue(named.problem, tuple(wanted)))
+        again = _on_segments if named.how.segmented else _going_on
+        named = again(named, whole, setup, notify, seconds)
+    return named
+
+
+def _further(named: Named, setup: Setup) -> list[Effect]:
+    problem, how = named.problem, named.how
+    return further_effects(problem, how.signals(problem), named.selection, setup.effects, setup.settings.criteria)
+
+
+def _going_on(first: Named, whole: Problem, setup: Setup, notify: Notify, seconds: dict[str, float]) -> Named:
+    how, chosen = first.how, setup.settings
+    carry, criteria = Carry(first.problem, whole, how.signals(whole).start), _criteria(how, chosen)
     screen, screenings = how.screen(whole, chosen.without, criteria), Screenings()
     screened = remembered(with_first_fits(screen, first.screenings, carry), screenings, notify)
     nominal, recalibrated = carry.guess(first.nominal), carry.guess(first.recalibrated)
     with timed(seconds, "name"):
         selection = select(whole, recalibrated, criteria, screened)
     return Named(whole, how, first.known, nominal, recalibrated, screenings, selection)
+
+
+def _on_segments(first: Named, whole: Problem, setup: Setup, notify: Notify, seconds: dict[str, float]) -> Named:
+    """Searched anew, where an elaborate effect counts beside those found."""
+    how, plain = first.how, [effect.name for effect in setup.first_effects]
+    carry, criteria = Carry(first.problem, whole, how.signals(whole).start), _criteria(how, setup.settings)
+    counts = elaborate_counts(how, whole, first.selection, carry, plain, criteria)
+    return search(whole, setup, notify, seconds) if counts else first
 
 
 def finished(named: Named, seconds: dict[str, float]) -> Named:
