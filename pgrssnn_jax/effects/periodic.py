@@ -26,10 +26,6 @@ _PHASES = (0.0, _TURN / 3.0, 2.0 * _TURN / 3.0)  # rad: one is within 60° of an
 _SIZES = (0.02, 0.2)  # of the range of the signal
 
 
-def periodic_effects(physics: Physics) -> tuple[Effect, Effect]:
-    return periodic_disturbance(physics), periodic_sensor_error(physics)
-
-
 def periodic_disturbance(physics: Physics) -> Effect:
     name, dt = "periodic_disturbance", physics.dt
     phases = _phases(physics.inputs)

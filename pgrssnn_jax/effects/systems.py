@@ -10,7 +10,7 @@ from pgrssnn_jax.effects.arm_common import points_of
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, add, effects_of, own_of
 from pgrssnn_jax.effects.generic import generic_effects
 from pgrssnn_jax.effects.lgssm import lgssm_effects
-from pgrssnn_jax.effects.periodic import periodic_effects
+from pgrssnn_jax.effects.periodic import periodic_disturbance, periodic_sensor_error
 from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.tanks import tank_effects
 from pgrssnn_jax.physics.base import Physics
@@ -62,7 +62,13 @@ def _of_system(physics: Physics) -> tuple[Effect, ...]:
     if system == "arm":  # its own effects say per joint what those of any system would
         return arm_effects(physics)
     own = {"tanks": tank_effects, "lgssm": lgssm_effects, "any": generic_effects}[system]
-    found = (*own(physics), *any_system_effects(physics), *periodic_effects(physics))
+    # a disturbance reaches the plant past its actuator, whatever play, range or delay that has
+    found = (
+        periodic_disturbance(physics),
+        *own(physics),
+        *any_system_effects(physics),
+        periodic_sensor_error(physics),
+    )
     return tuple(effect for effect in found if effect.name not in _SAID_OTHERWISE.get(system, ()))
 
 

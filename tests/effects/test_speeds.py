@@ -50,7 +50,7 @@ def tiny_steps(u: np.ndarray, lag: float = LAG, dry: float = DRY, sub: int = 200
 @pytest.mark.parametrize("unit", ["rad/s", "rpm", "m/s"])
 def test_forces_act_on_speeds_and_flows_do_not(unit):
     names = [one.name for one in pg.effects.catalogue(motor(unit))]
-    assert names[:5] == FORCES
+    assert names[:6] == ["periodic_disturbance", *FORCES]
     assert not {"leak", "inflow", "power_law", "linear_spring", "hysteresis", "hard_stop"} & set(names)
 
 

@@ -1,5 +1,7 @@
 """Names are what scripts and files hold on to: which effects a system has, and how they are read from JSON."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from toys import toy_physics
@@ -121,3 +123,20 @@ def test_what_is_there_is_not_missing():
     physics = add_named(cascaded_tanks(), {"leak_tank1": {"rate": 0.001}, "input_lag": {}})
     assert names(physics) == [n for n in names(cascaded_tanks()) if n not in ("leak_tank1", "input_lag")]
     assert system_of(physics) == "tanks"
+
+
+def test_a_disturbance_reaches_the_plant_past_its_actuator():
+    """The command rests within its dead zone: what moves the state is the disturbance alone."""
+    physics = toy_physics()
+    names = in_catalogue_order(physics, ["periodic_disturbance", "input_dead_zone"])
+    numbers = {"periodic_disturbance": {"amplitude": 0.5, "frequency": 0.02}, "input_dead_zone": {"width": 1.0}}
+    both = add_named(physics, {name: numbers[name] for name in names})
+    alone = add_named(physics, {"periodic_disturbance": numbers["periodic_disturbance"]})
+    u, x = jnp.full(len(physics.inputs), 0.3), jnp.zeros(len(both.states))
+    x = x.at[len(physics.states) :].set(1.0)  # rad
+    found, expected = (
+        one.step(jax.tree.map(jnp.asarray, one.params), x, command) for one, command in ((both, u), (alone, 0.0 * u))
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    without = physics.step(physics.params, x[: len(physics.states)], 0.0 * u)
+    assert np.abs(found[: len(physics.states)] - without).max() > 1e-3
