@@ -33,7 +33,7 @@ CATALOGUE = Catalogue(
     },
     noises=(0.003, 0.01, 0.02),
     identical={"input_offset": ("inflow", "input_dead_zone")},  # the inflow is positive all the time
-    family={"leak": ("power_law",)},
+    family={"leak": ("power_law",), "sensor_saturation": ("sensor_nonlinearity",)},
 )
 RATES = ("r1", "r2", "r3", "r4", "r5")
 NOMINAL: dict[str, float] = dict(zip(RATES, (0.10, 0.09, 0.11, 0.10, 0.09), strict=True))  # sqrt(m)/s

@@ -44,7 +44,13 @@ CATALOGUE = Catalogue(
         "sensor_gain": ("input_gain",),
         "leak": ("input_gain", "sensor_gain"),
     },
-    family={"periodic_disturbance": ("periodic_sensor_error",), "leak": ("power_law",)},
+    family={
+        "periodic_disturbance": ("periodic_sensor_error",),
+        "leak": ("power_law",),
+        "sensor_saturation": ("sensor_nonlinearity",),
+    },
+    # its curve holds them
+    clashes=tuple((name, "sensor_nonlinearity") for name in ("input_offset", "sensor_offset", "sensor_gain")),
     unnamed=("coil_saturation",),
 )
 NOMINAL = {"L": 0.1, "C": 1e-3}  # H, F

@@ -36,7 +36,11 @@ CATALOGUE = Catalogue(
     },
     noises=(0.002, 0.005, 0.01),
     identical={"input_offset": _CONSTANT[1:], "sensor_offset": _CONSTANT[:2]},
-    family={"periodic_disturbance": ("periodic_sensor_error",), "coulomb_friction": ("stribeck_friction",)},
+    family={
+        "periodic_disturbance": ("periodic_sensor_error",),
+        "coulomb_friction": ("stribeck_friction",),
+        "sensor_saturation": ("sensor_nonlinearity",),
+    },
 )
 NOMINAL = {"m": 1.0, "c": 0.4, "k": 4.0}  # kg, N s/m, N/m
 _DT = 0.05

@@ -33,6 +33,7 @@ CATALOGUE = Catalogue(
     identical={"input_offset": ("constant_force", "sensor_offset")},
     family={
         "periodic_disturbance": ("periodic_sensor_error",),
+        "sensor_saturation": ("sensor_nonlinearity",),
         "hysteresis": ("coulomb_friction", "stribeck_friction", "linear_spring", "backlash"),
     },
 )

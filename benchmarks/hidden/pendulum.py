@@ -35,6 +35,7 @@ CATALOGUE = Catalogue(
     },
     noises=(0.002, 0.005, 0.01),
     identical={"input_offset": ("constant_force",)},
+    family={"sensor_saturation": ("sensor_nonlinearity",)},
 )
 SAMPLES = 800
 NOMINAL = {"length": 1.0, "damping": 0.3, "dt": SAMPLE_TIME}  # m, 1/s, s

@@ -36,6 +36,7 @@ CATALOGUE = Catalogue(
     },
     noises=(0.01, 0.02, 0.05),
     identical={"input_offset": ("sensor_offset", *_CONSTANT), "sensor_offset": ("input_offset", *_CONSTANT)},
+    family={"sensor_saturation": ("sensor_nonlinearity",)},
 )
 _MINUTE = 60.0  # s
 _FLOW = 1.0 / _MINUTE  # 1/s, 100 l/min through 100 l

@@ -34,7 +34,11 @@ CATALOGUE = Catalogue(
     noises=(0.005, 0.02, 0.05),
     identical={"pump_saturation": ("input_saturation",), "pump_dead_zone": ("input_dead_zone",)},
     # overflow_1to2 with share 0 is overflow_lost; the other way round they are kin
-    family={"overflow_1to2": ("overflow_lost",), "overflow_lost": ("overflow_1to2",)},
+    family={
+        "overflow_1to2": ("overflow_lost",),
+        "overflow_lost": ("overflow_1to2",),
+        "sensor_saturation": ("sensor_nonlinearity",),
+    },
     clashes=(("tank2_overflow", "sensor_saturation"),),  # what spills at one level never reads above another
 )
 
@@ -85,5 +89,5 @@ DRAWS: dict[str, Draw] = {
     "input_lag": lambda rng, _: {"lag": uniform(rng, 4.0, 12.0)},
     "sensor_offset": lambda rng, _: {"y_offset": either_sign(rng, 0.4, 1.5)},
     "sensor_saturation": lambda rng, _: {"y_top": Quantile(uniform(rng, 0.75, 0.93), "reading")},
-    "sensor_nonlinearity": lambda rng, _: {"y_bend": either_sign(rng, 0.1, 0.3)},
+    "sensor_nonlinearity": lambda rng, _: {"y_bend": either_sign(rng, 0.25, 0.4)},
 }
