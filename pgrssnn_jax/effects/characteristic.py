@@ -5,7 +5,7 @@
            2 - 4 |d| + 5/2 d² - 1/2 |d|³                  1 <= |d| < 2,    0 beyond
 
 m points from low to high, one more at each end on the parabola through the last three. A parabola is met exactly, and
-beyond low and high the deviation stays as it is there. One row of c per output, in its unit.
+beyond low and high the curve goes on as a straight line. One row of c per output, in its unit.
 Source: Keys, Cubic convolution interpolation, IEEE Trans. Acoust. Speech Signal Process. 29 (1981).
 """
 
@@ -67,11 +67,14 @@ def _curve(value: jax.Array, low: Any, high: Any, c: Any) -> jax.Array:
     c = jnp.asarray(c)
     before, behind = 3.0 * c[0] - 3.0 * c[1] + c[2], 3.0 * c[-1] - 3.0 * c[-2] + c[-3]
     points = jnp.concatenate([before[None], c, behind[None]])
-    place = jnp.clip((value - low) / (high - low), 0.0, 1.0) * (POINTS - 1)
+    wanted = (value - low) / (high - low) * (POINTS - 1)
+    place = jnp.clip(wanted, 0.0, POINTS - 1.0)
+    slope = 0.5 * jnp.where(wanted < 0.0, c[1] - before, behind - c[-2])  # at the end
     d = jnp.abs(place - jnp.arange(-1, POINTS + 1, dtype=c.dtype))
     near = (1.5 * d - 2.5) * d * d + 1.0
     far = ((2.5 - 0.5 * d) * d - 4.0) * d + 2.0
-    return (jnp.where(d < 1.0, near, jnp.where(d < 2.0, far, 0.0)) * points).sum()
+    inside = (jnp.where(d < 1.0, near, jnp.where(d < 2.0, far, 0.0)) * points).sum()
+    return inside + slope * (wanted - place)
 
 
 def _bends(deviation: Float[np.ndarray, "y m"]) -> bool:
