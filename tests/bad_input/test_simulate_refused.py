@@ -29,7 +29,10 @@ SIMULATED = {
 }
 
 ADDED = {
-    "an effect of another system": (lambda: pg.add(tanks(), "payload"), "effects: expected some of ['leak_tank1'"),
+    "an effect of another system": (
+        lambda: pg.add(tanks(), "payload"),
+        "effects: expected some of ['periodic_disturbance', 'leak_tank1'",
+    ),
     "an effect that there is not": (lambda: pg.add(tanks(), "leek"), "of physics 'tanks', found 'leek'"),
     "a number that there is not": (lambda: pg.add(tanks(), "leak_tank1", rat=1.0), "leak_tank1: expected ['rate']"),
     "a number out of its bounds": (
