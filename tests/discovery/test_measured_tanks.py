@@ -6,10 +6,9 @@ import pgrssnn_jax as pg
 
 
 @pytest.mark.slow
+@pytest.mark.data
 def test_the_measured_tanks_overflow_and_their_sensor_is_curved():
     train, test = pg.load_benchmark("cascaded_tank")
-    if train.info.source == "simulated":
-        pytest.skip("the measured record of the tanks is not on this machine")
     found = pg.discover(pg.physics.cascaded_tanks(clamp=True), train, test, network_epochs=0, quiet=True)
     assert found.verdict == "effect_found"
     assert {effect.name for effect in found.effects} == {
