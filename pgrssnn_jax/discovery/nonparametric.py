@@ -19,7 +19,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals, carried
 from pgrssnn_jax.discovery.responses import Response, correction_responses, path_of
 from pgrssnn_jax.discovery.settings import Criteria
 
-_FINALISTS = 2  # corrections that are fitted
+_FINALISTS = 4  # corrections that are fitted: several promise nearly the same where a signal drives them all
 CURVED = 2.0  # times what its linear response promises, at most, is what a fitted correction reaches
 
 
