@@ -23,8 +23,8 @@ Notify = Callable[[str], None]
 
 
 class Named(NamedTuple):
-    """A problem with its record and what was found in it. known: puts the prior of the physics on problems; nominal,
-    recalibrated: without effects; screenings: all that were made."""
+    """A problem with its record and the effects selected in it. known: puts the prior of the physics on problems;
+    nominal, recalibrated: the physics without effects; screenings: of this search, by the effects of their base."""
 
     problem: Problem
     how: Scoring
@@ -54,8 +54,8 @@ def search(problem: Problem, setup: Setup, notify: Notify, seconds: dict[str, fl
 def with_elaborate_effects(
     first: Named, setup: Setup, corrected: Corrected, notify: Notify, seconds: dict[str, float]
 ) -> Named:
-    """Searched once more with the elaborate effects, where they may explain what is left; and again where only then the
-    errors show a line (of a disturbance behind a backlash, say)."""
+    """A second search, with the elaborate effects, where the first one leaves errors above the noise. It is repeated
+    where its errors show a spectral line for the first time: of a disturbance behind a backlash, say."""
     named, tried = first, set[str]()
     while further := [effect for effect in _further(named, setup) if effect.name not in tried]:
         notify(f"errors stay above the noise: looking for {', '.join(effect.name for effect in further)} too")
@@ -73,6 +73,7 @@ def _further(named: Named, setup: Setup) -> list[Effect]:
 
 
 def _going_on(first: Named, whole: Problem, setup: Setup, notify: Notify, seconds: dict[str, float]) -> Named:
+    """The second search of whole records, from the fits of the first."""
     how, chosen = first.how, setup.settings
     carry, criteria = Carry(first.problem, whole, how.signals(whole).start), _criteria(how, chosen)
     screen, screenings = how.screen(whole, chosen.without, criteria), Screenings()

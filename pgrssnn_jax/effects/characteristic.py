@@ -20,7 +20,7 @@ from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counte
 from pgrssnn_jax.physics.base import Parameter, Physics
 from pgrssnn_jax.physics.signals import unit_of_all
 
-POINTS = 6  # left-out blocks of the measured tanks: 4 predict worse, 5, 8 and 10 a little worse
+POINTS = 6  # measured tanks: 4, 5, 8, 10 predict left-out blocks worse by 152, 80, 28, 35 nats
 _PART = np.linspace(0.0, 1.0, POINTS)
 _BOW = 0.2 * _PART * (1.0 - _PART)  # of the range, where fits begin: 5 % in its middle
 _STRAIGHT = 0.1  # of the deviations: a curve that departs less from a straight line is an offset or a gain
