@@ -57,6 +57,7 @@ class Discovery(NamedTuple):
     convention: str | None
     departures: list[Departure]
     undetermined: list[Combination]
+    optimism: float | None
     train: Validations
     test: Validations
     seconds: dict[str, float]
@@ -112,6 +113,7 @@ def discover_in(
         convention=judged.convention,
         departures=numbers.departures,
         undetermined=numbers.undetermined,
+        optimism=numbers.optimism,
         train=train,
         test=test,
         seconds=seconds,

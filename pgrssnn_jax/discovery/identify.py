@@ -22,6 +22,7 @@ from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.optimism import optimism
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
@@ -51,21 +52,24 @@ class Combination(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Of a selection. without: of the models without each effect."""
+    """Of a selection. without: of the models without each effect; optimism: of the final model (`optimism.py`)."""
 
     recalibrated: Model
     final: Model
     without: dict[str, Guess]
     departures: list[Departure]
     undetermined: list[Combination]
+    optimism: float | None
 
 
 def final_numbers(problem: Problem, how: Scoring, selection: Selection, tolerance: float | None, block: int) -> Numbers:
     """Segments have no prior: their numbers stay as they are."""
     without = {name: one.base.estimate.guess for name, one in selection.screenings.items()}
-    if tolerance is None or how.segmented:
-        return Numbers(selection.recalibrated, selection.final, without, [], [])
     signals, settings = how.signals(problem), how.settings
+    if tolerance is None or how.segmented:
+        guess = selection.final.estimate.guess
+        more = None if how.segmented else optimism(problem, signals, guess, settings)
+        return Numbers(selection.recalibrated, selection.final, without, [], [], more)
 
     def settled(model: Model) -> tuple[Problem, Model]:
         held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings)
@@ -76,8 +80,10 @@ def final_numbers(problem: Problem, how: Scoring, selection: Selection, toleranc
     _, recalibrated = settled(selection.recalibrated) if selection.screenings else (held, final)
     fitted = fit_all(held, signals, list(without.values()), settings)
     without = {name: guess for name, (guess, _) in zip(without, fitted, strict=True)}
-    unseen = undetermined(held, signals, final.estimate.guess, settings)
-    return Numbers(recalibrated, final, without, departures(held, final), unseen)
+    guess = final.estimate.guess
+    unseen = undetermined(held, signals, guess, settings)
+    more = optimism(held, signals, guess, settings)
+    return Numbers(recalibrated, final, without, departures(held, final), unseen, more)
 
 
 def _deviation(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Float[np.ndarray, " p"]:

@@ -61,6 +61,7 @@ def discovery_json(found: Discovery, setup: Setup, *, command: str) -> dict[str,
         "departures": departures(found),
         "undetermined": [one._asdict() for one in found.undetermined],
         "gap": _gap(found),
+        "optimism": found.optimism,
         "ranking": _ranking(found),
         "network": None,
         "null": {

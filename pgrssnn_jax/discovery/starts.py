@@ -16,10 +16,9 @@ from jaxtyping import Bool, Float
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.free_runs import by_start
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.problem import Problem, Signals, start_guess
+from pgrssnn_jax.discovery.problem import HELD, Problem, Signals, start_guess
 from pgrssnn_jax.records.record import Record
 
-_HELD = 1e30  # precision of a start that a fit leaves as it is, in any unit of a state
 _ADDED = 0.1  # of the energy of the noise that the error of a start may add: 5 % of an RMS error
 _STEP = 1e-4  # of the range of a state: a difference quotient in double precision
 
@@ -43,7 +42,7 @@ def fitted_start(
     u, y, mask = (np.asarray(a)[:, :n_init] for a in (record.u, record.y, record.mask))
     u, y, weight = u.astype(np.float64), y.astype(np.float64), np.where(mask, 1.0 / _spread(record), 0.0)
     start = np.where(np.isnan(known), start_guess(problem.full, u, y, mask), known)
-    precision = np.where(np.isnan(known), 0.0, _HELD)
+    precision = np.where(np.isnan(known), 0.0, HELD)
     signals = Signals(u, y, weight, np.zeros(u.shape[:2], int), start, precision)
     guesses = [guess._replace(x0=x0) for x0 in problem.beginnings(guess.active, start)]
     fits = fit_all(problem, signals, guesses, settings, only_start=True)

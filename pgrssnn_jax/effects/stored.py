@@ -37,6 +37,7 @@ def physics_to_json(physics: Physics) -> dict[str, Any]:
         "dt": physics.dt,
         "output_timing": physics.output_timing,
         "discovered": physics.discovered,
+        "optimism": physics.optimism,
         "source_sha256": source_digest(physics),
     }
 
@@ -74,10 +75,18 @@ def stored_physics(physics: Physics, stored: Mapping[str, Any], *, where: str, e
     found = add_named(base, {name: effects[name] for name in order if name not in there}, extra)
     start = stored["initial_state"] or {}
     for name, value in start.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= sys.float_info.max:
+        if not _is_number(value):
             raise ValueError(f"{where}: initial_state: {name}: expected a finite number, found {shown(value)}")
     states = tuple(s._replace(start=start[s.name]) if s.name in start else s for s in found.states)
-    return found._replace(states=states, discovered=bool(stored.get("discovered", "verdict" in stored)))
+    discovered, optimism = bool(stored.get("discovered", "verdict" in stored)), stored.get("optimism")
+    if optimism is not None and not (_is_number(optimism) and optimism >= 1.0):
+        raise ValueError(f"{where}: optimism: expected null or a number of at least 1, found {shown(optimism)}")
+    return found._replace(states=states, discovered=discovered, optimism=optimism)
+
+
+def _is_number(value: Any) -> bool:
+    is_real = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_real and abs(value) <= sys.float_info.max
 
 
 def read_stored(path: Path, where: str) -> dict[str, Any]:

@@ -66,7 +66,8 @@ class Physics(NamedTuple):
     points `[..., points, 3]` in m, z up, joined in their order by lines, from outputs `[..., y]`; None where there is
     nothing to draw. remark: a line for the user about the origin of the physics. differentiable: does `step` let
     gradients through? extension: where effects enter a step, None: only around it. origin: its builder and settings,
-    None where they are not known. discovered: were its numbers fitted to a whole estimation record?"""
+    None where they are not known. discovered: were its numbers fitted to a whole estimation record? optimism: how many
+    times smaller its errors are there than on parts that were left out, None where that was not measured."""
 
     name: str
     step: Step
@@ -84,6 +85,7 @@ class Physics(NamedTuple):
     extension: Extension | None = None
     origin: Origin | None = None
     discovered: bool = False
+    optimism: float | None = None
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -110,6 +112,7 @@ class Physics(NamedTuple):
             states=tuple(s._replace(start=begun.get(s.name, s.start)) for s in after.states),
             origin=self.origin._replace(settings=settings),
             discovered=self.discovered,
+            optimism=self.optimism,
         )
 
     def __repr__(self) -> str:

@@ -1,7 +1,8 @@
 """The intervals of trained members from the plan that they were trained by.
 
 A physics that discovery has fitted to the record has seen what members leave out. Their errors are then larger on other
-records by Akaike's final prediction error, for k numbers that were fitted to samples worth n independent ones:
+records by what the discovery has measured on quarters of the record (`Physics.optimism`). Where it has not, as on arms,
+Akaike's final prediction error says it, for k numbers that were fitted to samples worth n independent ones:
 
     E_other / E_left_out = (n + k) / (n - k),      n = samples / (1 + 2 Σ_{j>0} ρ_j)         ρ: of the left-out errors
 
@@ -52,11 +53,11 @@ def calibrated(
         chosen = recipe["tried"][0]
         more *= by_long_blocks(losses.validation, chosen["left_out_nrmse"], chosen["epochs"])
     if plan.physics.discovered:
-        more *= _fitted_before(found, plan.physics)
+        more *= plan.physics.optimism or _by_akaike(found, plan.physics)
     return calibrate(found, (plan.train, plan.validation), more)
 
 
-def _fitted_before(found: LeftOut, physics: Physics) -> float:
+def _by_akaike(found: LeftOut, physics: Physics) -> float:
     """sqrt(E_other / E_left_out), at most that of k = n / 2."""
     numbers, parameters = jax.tree.leaves(physics.params), jax.tree.leaves(physics.parameters, is_leaf=is_parameter)
     fitted = sum(np.size(n) for n, p in zip(numbers, parameters, strict=True) if p.trainable and np.isfinite(n).all())

@@ -212,7 +212,7 @@ def test_limits_per_channel_come_back_where_they_are():
 
 def test_starts_and_discovery_come_back():
     states = tuple(s._replace(start=2.0 + i) for i, s in enumerate(cascaded_tanks().states))
-    physics = cascaded_tanks()._replace(states=states, discovered=True)
+    physics = cascaded_tanks()._replace(states=states, discovered=True, optimism=1.5)
     assert physics_to_json(physics)["initial_state"] == {"upper_level": 2.0, "lower_level": 3.0}
     assert_same(there_and_back(physics, cascaded_tanks()), physics)
 

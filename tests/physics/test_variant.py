@@ -172,7 +172,9 @@ def test_a_discrete_physics_of_a_users_own_has_no_settings():
 
 
 def test_a_discovered_physics_stays_one():
-    assert cascaded_tanks()._replace(discovered=True).variant(clamp=True).discovered
+    changed = cascaded_tanks()._replace(discovered=True, optimism=1.5).variant(clamp=True)
+    assert changed.discovered
+    assert changed.optimism == 1.5
 
 
 def known_start() -> Physics:

@@ -55,6 +55,7 @@ def torques_json(found: Found, setup: Setup, *, command: str) -> dict[str, Any]:
         "departures": _departures(found),
         "undetermined": [],
         "gap": gap,
+        "optimism": None,
         "ranking": _ranking(found),
         "network": None,
         "null": {"threshold": None, "draws": None},
