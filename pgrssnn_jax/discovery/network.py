@@ -16,6 +16,7 @@ from pgrssnn_jax.discovery.setup import Setup, Start
 from pgrssnn_jax.effects.stored import OF_TRAINING, stored_physics
 from pgrssnn_jax.physics.base import Physics
 from pgrssnn_jax.records.record import take
+from pgrssnn_jax.training.choose import on_fitted, settled
 from pgrssnn_jax.training.evaluation import predict, trained_members
 from pgrssnn_jax.training.loop import train
 from pgrssnn_jax.training.metrics import nrmse, rmse
@@ -34,10 +35,12 @@ def plan_network(setup: Setup, found: Mapping[str, Any] | None) -> tuple[Plan, M
     physics: Physics = setup.physics.variant(**kept)
     if found is not None:
         physics = stored_physics(physics, found, where="discovery", extra=setup.effects)
-    settings = chosen._replace(
+    settings = chosen._replace(fit=replace(chosen.fit, epochs=setup.settings.network_epochs))
+    if not settings.data.folds:  # as with recipe=auto: the tail of a record may be quiet, and tells little
+        settings = on_fitted(physics, setup.train, setup.validation, settings, {"patience"})
+    settings = settings._replace(
         model=replace(chosen.model, start_from_physics=True),
-        fit=replace(chosen.fit, epochs=setup.settings.network_epochs),
-        run=_started(setup, chosen.run) if physics.differentiable else chosen.run,
+        run=_started(setup, settings.run) if physics.differentiable else chosen.run,
     )
     plan = plan_training(physics, setup.train, settings, validation=setup.validation)
     wanted = settings.run.report_n_init
@@ -47,10 +50,10 @@ def plan_network(setup: Setup, found: Mapping[str, Any] | None) -> tuple[Plan, M
 def _started(setup: Setup, chosen: RunSettings) -> RunSettings:
     """The first output is no initial state where a sensor has an offset or an effect has memory. Where nothing is known
     of it, it is estimated from the first samples, at most half of the shortest record."""
-    if setup.start is not Start.UNKNOWN or chosen.initial_state != "first_output":
-        return chosen
+    if setup.start is Start.UNKNOWN and chosen.initial_state == "first_output":
+        chosen = replace(chosen, initial_state="estimated")
     shortest = min(record.u.shape[-2] for record in (setup.train, setup.validation, setup.test))
-    return replace(chosen, initial_state="estimated", n_init=min(chosen.n_init, shortest // 2))
+    return replace(chosen, n_init=max(1, min(chosen.n_init, shortest // 2)))
 
 
 def network_shares(
@@ -80,7 +83,8 @@ def _one(plan: Plan, tests: MemberTests, stop: threading.Event) -> tuple[float, 
         plan.fit, plan.mapping, first.state, plan.data, first.losses,
         on_chunk=lambda state, losses, now: None, stop=stop,
     )  # fmt: skip
-    found, measured = predict(trained_members(plan, done.state), tests.record), tests.measured
+    kept, _ = settled(plan, done.state, {})  # a member that is no better than its physics is that physics
+    found, measured = predict(trained_members(plan, kept), tests.record), tests.measured
     assert found.alone is not None  # a guided model with networks
     several, shares, errors = measured.y.shape[-1] > 1, [], []
     for i, (predicted, alone) in enumerate(zip(found.y, found.alone, strict=True)):

@@ -82,13 +82,11 @@ def choose_settings(
     usual = recipe_for(train.info.benchmark).split(discovered=physics.discovered)[1]
     follows = _of_record(train, validation, settings, usual)
     settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
-    starts = _FOUND[train.info.start] if physics.differentiable else "never"
     if physics.discovered and settings.data.folds:
-        start = settings.run.initial_state if starts == "never" else "estimated"
-        after = {"start_from_physics": True, "initial_state": start}
-        settings = changed(settings, {name: value for name, value in after.items() if name not in held})
+        settings = _from_physics(physics, train, settings, held)
         notify("recipe=auto: training starts at the physics, because discovery has seen what members would leave out")
         return Chosen(settings, [], time.perf_counter() - started)
+    starts = _starts(physics, train)
     trying, short = settings, False
     if not {"folds", "block"} & set(held):
         trying, short = _with_long_blocks(settings, physics, train, validation)
@@ -106,6 +104,30 @@ def choose_settings(
     beside = "" if nominal is best else f" (physics alone {nominal.nrmse:.3g})"
     notify(f"recipe=auto: {describe(best.settings)}; {SCORE} {best.nrmse:.3g}{beside}")
     return Chosen(best.settings, tried, time.perf_counter() - started)
+
+
+def on_fitted(
+    physics: Physics, train: Record, validation: Record | None, settings: TrainingSettings, held: Collection[str]
+) -> TrainingSettings:
+    """Settings for a physics that was fitted to the record, without a choice: training starts at the physics, and
+    members take turns in what they leave out, where they can."""
+    follows = _of_record(train, validation, settings, {"initial_state": settings.run.initial_state})
+    settings = changed(settings, {name: value for name, value in follows.items() if name not in held})
+    return _from_physics(physics, train, settings, held)
+
+
+def _from_physics(
+    physics: Physics, train: Record, settings: TrainingSettings, held: Collection[str]
+) -> TrainingSettings:
+    starts = _starts(physics, train)
+    estimated = starts == "always" or (starts == "perhaps" and settings.data.folds)
+    start = "estimated" if estimated else settings.run.initial_state
+    after = {"start_from_physics": True, "initial_state": start}
+    return changed(settings, {name: value for name, value in after.items() if name not in held})
+
+
+def _starts(physics: Physics, train: Record) -> Starts:
+    return _FOUND[train.info.start] if physics.differentiable else "never"
 
 
 def _of_record(
