@@ -1,11 +1,12 @@
 """The final numbers of the physics, and which of them the data determine.
 
-    minimise  Σ e² + σ² Σ_i ((θ_i - given_i) / s_i)²        σ² = Σ e² / n of the same model,  s: prior
+    minimise  Σ e² + τ σ² Σ_i ((θ_i - given_i) / s_i)²        σ² = Σ e² / n of the same model,  s: prior
 
 The search weighs the prior against the white noise alone: the parameters are to take up whatever they can before an
 effect is named. Where errors stay above that noise, the same weight would let a number go far from the nominal one for
 a fall of the errors that says little. The final numbers therefore weigh the prior against the errors that are left,
-which is the likeliest model where their variance is unknown.
+which is the likeliest model where their variance is unknown. τ is the correlation time of these errors: so many of
+them say as much as one (Pauli, Racugno, Ventura, Statistica Sinica 21, 2011, on the weight of a composite likelihood).
 
     C v = λ S v,  S = diag(s²)        C: covariance of the estimate
 
@@ -22,13 +23,15 @@ from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.optimism import optimism
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
 
-_ROUNDS = 4  # σ² and the numbers in turn, at most
-_SAME = 0.1  # relative change of σ²: below, the numbers move by less than a tenth of their deviation
+_ROUNDS = 4  # τ σ² and the numbers in turn, at most
+_STEPS = 200  # of a fit, at most: numbers of which the data see a product alone lie in a long valley
+_SAME = 0.1  # relative change of τ σ²: below, the numbers move by less than a tenth of their deviation
 _BEYOND = 1.96  # standard deviations of the prior: 95 %
 _LEFT = 0.5  # part of the prior's variance, above which the prior says more than the data
 _PART = 0.1  # of the largest entry: smaller ones of a combination are left out
@@ -100,8 +103,10 @@ def most_likely(
     problem: Problem, signals: Signals, guess: Guess, tolerance: float, settings: Settings
 ) -> tuple[Problem, Guess]:
     """The minimum above, and the problem whose prior has that weight."""
+    settings = settings._replace(steps=max(settings.steps, _STEPS))
     for _ in range(_ROUNDS):
-        variance = evaluate(problem, signals, guess).cost / signals.size
+        now = evaluate(problem, signals, guess)
+        variance = now.cost / signals.size * longest_memory(now.error)
         if abs(variance - problem.noise) <= _SAME * problem.noise:
             break
         problem = problem.held(tolerance, variance)

@@ -155,12 +155,12 @@ def _solve(task: Task, state: State, normal: Normal) -> tuple[jax.Array, jax.Arr
     (low, high, nominal, known), place, k = task.limits, task.place, task.free.shape[1]
     now = jnp.take_along_axis(state.theta, place, 0)  # [k, lane]
     lowest, highest = low[place, 0], high[place, 0]
-    direction = task.total(normal.pull[..., :k].sum(0)).T
-    blocked = ((now <= lowest) & (direction < 0)) | ((now >= highest) & (direction > 0))
-    moves = task.used & ~blocked.T  # [lane, k]
     held = known[place, 0].T
     back = jnp.where(held > 0, held * (nominal[place, 0] - now).T, 0.0)
     back = jnp.where(task.used & jnp.isfinite(back), back, 0.0)
+    direction = task.total(normal.pull[..., :k].sum(0)).T + back.T
+    blocked = ((now <= lowest) & (direction < 0)) | ((now >= highest) & (direction > 0))
+    moves = task.used & ~blocked.T  # [lane, k]
     delta, delta_x = jax.vmap(lambda d: _damped(task, state, normal, moves, held, back, d * state.damping))(
         task.dampings
     )

@@ -10,6 +10,7 @@ from toys import small_record
 from pgrssnn_jax.discovery.candidates import Model, fitted_models
 from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.identify import departures, most_likely, undetermined
+from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
 from pgrssnn_jax.physics.linear import lgssm
 
@@ -45,9 +46,13 @@ def found(problem: Problem, signals: Signals) -> tuple[Problem, Model]:
 
 @pytest.mark.parametrize("disturbance", [0.0, 1.0])
 def test_the_final_numbers_are_the_likeliest_where_the_variance_is_unknown(problem, disturbance):
-    """n log S + P, by SciPy with the system in closed form."""
+    """n / τ log S + P, τ: samples that say as much as one; by SciPy with the system in closed form."""
     signals = signals_of(problem, 2.0, disturbance)
-    _, model = found(problem, signals)
+    held, model = found(problem, signals)
+    memory = longest_memory(model.estimate.error)
+    assert memory * model.estimate.cost / SAMPLES == pytest.approx(held.noise, rel=0.1)
+    assert (memory > 2.0) == (disturbance > 0.0)
+    independent = model.estimate.cost / held.noise  # n / τ with the τ that the fit settled on
     given = np.array([0.8, 1.0, 1.0])
 
     def negative(z):
@@ -55,7 +60,7 @@ def test_the_final_numbers_are_the_likeliest_where_the_variance_is_unknown(probl
         y = outputs(signals.u[0, :, 0], a, b * c) + c * a ** np.arange(1, SAMPLES + 1) * x0
         error = signals.weight[0, :, 0] * (signals.y[0, :, 0] - y)
         prior = ((np.array([a, b, c]) - given) / (TOLERANCE * given)) ** 2
-        return SAMPLES * np.log(error @ error) + prior.sum()
+        return independent * np.log(error @ error) + prior.sum()
 
     begin = np.array([*model.estimate.theta, model.estimate.x0[0, 0]])
     other = minimize(negative, begin, method="Nelder-Mead", options={"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000})

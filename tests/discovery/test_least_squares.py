@@ -8,7 +8,7 @@ from discovery.small_cases import PUBLISHED, pump, tank_record
 from scipy.optimize import least_squares
 
 from pgrssnn_jax.discovery.least_squares import Lanes, fit, sensitivity, simulate
-from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
+from pgrssnn_jax.discovery.problem import HELD, Problem, Signals, build_problem, weighted_signals
 from pgrssnn_jax.discovery.solve import solve
 from pgrssnn_jax.effects.systems import add_effect, catalogue
 from pgrssnn_jax.physics.base import Parameter
@@ -143,6 +143,17 @@ def test_bounds_hold(problem, record):
     found = fit(problem, less, lanes(problem, less, [free] * 3, theta), steps=20)
     assert np.all((found.theta >= problem.low) & (found.theta <= problem.high))
     np.testing.assert_allclose(found.theta[:, free[0]], 0.0, atol=1e-6)
+
+
+def test_a_prior_takes_a_number_from_its_bound_where_the_data_hardly_pull(problem, record):
+    """Data that pull outwards, of next to no weight."""
+    free = at(problem, "k4")
+    inwards = problem.held(0.5, 1.0)
+    theta = np.tile(problem.theta, (3, 1))
+    theta[:, free[0]] = [problem.low[free[0]], problem.theta[free[0]], problem.low[free[0]]]
+    less = record._replace(y=record.y + 1e3, weight=1e-6 * record.weight, precision=np.full((1, 2), HELD))
+    found = fit(inwards, less, lanes(problem, less, [free] * 3, theta), steps=40)
+    np.testing.assert_allclose(found.theta[:, free[0]], problem.theta[free[0]], rtol=1e-3)
 
 
 def test_a_lane_that_is_not_finite_leaves_the_others_alone(problem, record):
