@@ -92,6 +92,8 @@ class Judge(NamedTuple):
         if one.name in self.problem.effect(best.name).simpler:
             more = screening.rms(one.model) - screening.rms(best.model)
             return _as_good(one, best) or more < self.criteria.share * self.gap
+        if best.name in self.problem.effect(one.name).simpler:  # which may have more numbers: one for every input
+            return False
         fewer = count_of_numbers(self.problem, one.guess) < count_of_numbers(self.problem, best.guess)
         return fewer and _as_good(one, best)
 

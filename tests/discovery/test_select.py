@@ -160,6 +160,13 @@ def test_a_special_case_is_preferred_where_the_other_closes_hardly_more(tanks, e
     assert chosen(replace(tanks, effects=effects), rich=NOISE, lean=error * NOISE) == expected
 
 
+def test_one_to_which_the_better_one_is_preferred_does_not_take_its_place_by_fewer_numbers(tanks):
+    """The hum of one output beside disturbances of several inputs."""
+    effects = tuple(e._replace(simpler=(RICH,)) if e.name == LEAN else e for e in tanks.effects)
+    assert chosen(tanks, rich=NOISE, lean=NOISE * (1.0 + 1e-12)) == LEAN
+    assert chosen(replace(tanks, effects=effects), rich=NOISE, lean=NOISE * (1.0 + 1e-12)) == RICH
+
+
 @pytest.mark.parametrize("others", [{A: 3.0, B: 2.0}, {B: 2.0}])
 def test_a_worse_fit_of_what_was_taken_out_does_not_let_an_imitator_in(problem, others):
     """Nor does none at all: the model that had it is known."""
