@@ -17,6 +17,7 @@ from pgrssnn_jax.discovery.likelihood import Linearisation
 from pgrssnn_jax.discovery.null import beside, orthonormal
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
+_NOTHING = 1e-20  # of an energy: a change that is none, in any unit of a number
 _RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
 
 
@@ -84,13 +85,17 @@ def added(here: Run, run: Run) -> Float[np.ndarray, "n m"]:
 
 
 def visible(at: Linearisation, added: Sequence[tuple[str, Float[np.ndarray, "n _"]]]) -> dict[str, tuple[float, float]]:
-    """Per effect the energy of its displacement, and what of it the model's free numbers cannot take up."""
+    """Per effect the energy of its displacement, and what of it the model's free numbers cannot take up: of the
+    displacement itself, or of the change by one number of the effect, of which more is left. Gains of all sensors
+    together may be what the physics can do, and those of one sensor not."""
     measured = at.measured.ravel()
     nuisance = orthonormal(at.columns.reshape(at.error.size, -1) * measured[:, None])
     found: dict[str, tuple[float, float]] = {}
     for name, columns in added:
-        displacement = columns[:, :1] * measured[:, None]
-        left = beside(displacement, nuisance)
+        columns = columns * measured[:, None]
+        energy, left = (columns**2).sum(0), (beside(columns, nuisance) ** 2).sum(0)
+        there = energy > _NOTHING * energy.max(initial=0.0)
+        part = float((left[there] / energy[there]).max(initial=0.0))
         seen = found.get(name, (0.0, 0.0))
-        found[name] = (max(seen[0], float((displacement**2).sum())), max(seen[1], float((left**2).sum())))
+        found[name] = (max(seen[0], float(energy[0])), max(seen[1], part * float(energy[0])))
     return found
