@@ -138,6 +138,7 @@ def select(problem: Problem, start: Guess, criteria: Criteria, screened: Screene
         found = _settled(judge, screened, other).model
         better, error = found.better_than(model)
         model = found if better > error else model
+    model = _with_fewest_effects(judge, first, model)
     last, screenings = _judged(problem, screened, model)
     if screenings and min(_p_value(one, name) for name, one in screenings.items()) > criteria.p_value:
         alone = judge.best(first, {})  # none is certain beside the others
@@ -210,6 +211,16 @@ def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Seq
     names = model.estimate.active
     others = [Chosen(c.model, {c.name: first.p_value(c)}) for c in possible if c.model and c.name not in names]
     return others[: criteria.beam] if left else []
+
+
+def _with_fewest_effects(judge: Judge, first: Screening, model: Model) -> Model:
+    """One effect that predicts as well as several do: each of them came in as the best step at its time."""
+    if len(model.estimate.active) < 2:
+        return model
+    alone = [c for c in first.candidates if judge.counts(first, c, {}) and c.model is not None]
+    best = max((c.model for c in alone if c.model is not None), key=lambda one: one.score, default=model)
+    worse, error = model.better_than(best)
+    return best if worse <= error else model
 
 
 def _with_known(screening: Screening, beside: Screening) -> Screening:

@@ -254,7 +254,8 @@ def _power_law(physics: Physics, places: list[Place]) -> Effect:
 
     def initial_guesses(span: SignalRange) -> list[Numbers]:
         x, share = largest(span, places), _POWER_LAW.shares[0] / physics.dt
-        return [{"c": share * x ** (1.0 - n), "n": np.full(len(places), n)} for n in (0.5, 2.0)]
+        powers = (0.5, 1.1, 2.0)  # the second: nearly a leak, which may be close to the truth
+        return [{"c": share * x ** (1.0 - n), "n": np.full(len(places), n)} for n in powers]
 
     return effect._replace(
         parameters={**effect.parameters, "n": Parameter("n", bounds=(0.2, 5.0), neutral=1.0)},

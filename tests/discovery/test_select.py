@@ -70,6 +70,14 @@ def test_a_pair_of_which_neither_does_best_alone_is_found(problem):
     assert found(problem, {"": 400.0, "A": 3.0, "B": 4.0, "B C": 1.0}) == "B C"
 
 
+def test_one_effect_is_taken_in_the_place_of_two_that_predict_no_better(problem):
+    """A linear leak and an offset have the place of a power law, because the leak alone comes near to it."""
+    effects = tuple(e._replace(simpler=(A,)) if e.name == C else e for e in problem.effects)
+    preferred = replace(problem, effects=effects)
+    assert found(preferred, {"": 400.0, "A": 1.4, "A B": 1.0, "C": 1.0}) == "C"
+    assert found(preferred, {"": 400.0, "A": 1.4, "A B": 1.0, "C": 1.2}) == "A B"
+
+
 def test_an_effect_that_brings_little_is_not_taken(problem):
     assert found(problem, {"": 400.0, "A": 100.0, "A B": 98.0}) == "A"
 
