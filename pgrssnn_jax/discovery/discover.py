@@ -98,11 +98,11 @@ def discover_in(
             judged = _judged(named, corrected, chosen)
         notify("proving: intervals, and the test record")
         with timed(seconds, "numbers"):
-            numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria.block)
+            numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria)
         with timed(seconds, "prove"):
             whole, train, test = _validated(named, numbers, setup)
     return Discovery(
-        problem=named.problem,
+        problem=numbers.problem,
         signals=named.how.uncut,
         estimation=whole,
         selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),

@@ -1,6 +1,6 @@
 """One finding: an effect with its numbers, where and when it acts, what it closes, and what would do nearly as well."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,8 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
 
     said: dict[str, Any] = {
         **described(effect),
-        "channel_names": channel_names(problem.physics, effect),
+        "channel_names": (names := channel_names(problem.physics, effect)),
+        "acts_at": _acts_at(problem, effect, names),
         "parameters": fitted(problem, final, name),
         "region": _region(found, acting),
         "active_fraction": float(acting.sum() / within_record(found.signals).sum()),
@@ -109,6 +110,12 @@ def channel_names(physics: Physics, effect: Effect) -> list[str]:
     signals = {"input": physics.inputs, "output": physics.outputs}.get(effect.channels, ())
     names = [signal.name for signal in signals] or [physics.states[place.state].name for place in states]
     return names if any(shape == (len(names),) for shape in effect.shapes.values()) else []
+
+
+def _acts_at(problem: Problem, effect: Effect, names: Sequence[str]) -> list[str]:
+    """Those of the channels that the model keeps (`channels.py`)."""
+    kept = {problem.slots[i].element[0] for i in problem.of(effect.name) if problem.slots[i].element}
+    return [name for k, name in enumerate(names) if k in kept]
 
 
 def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:

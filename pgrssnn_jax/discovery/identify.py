@@ -13,6 +13,7 @@ them say as much as one (Pauli, Racugno, Ventura, Statistica Sinica 21, 2011, on
 λ is the part of the prior's variance that is left along v; near 1 the data say nothing about that combination.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,8 @@ import scipy
 from jaxtyping import Float
 
 from pgrssnn_jax.discovery import likelihood
-from pgrssnn_jax.discovery.candidates import Model, fitted_models
+from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
+from pgrssnn_jax.discovery.channels import with_fewest_channels
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.noise import longest_memory
@@ -28,6 +30,7 @@ from pgrssnn_jax.discovery.optimism import optimism
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
+from pgrssnn_jax.discovery.settings import Criteria
 
 _ROUNDS = 4  # τ σ² and the numbers in turn, at most
 _STEPS = 200  # of a fit, at most: numbers of which the data see a product alone lie in a long valley
@@ -55,8 +58,10 @@ class Combination(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Of a selection. without: of the models without each effect; optimism: of the final model (`optimism.py`)."""
+    """Of a selection. problem: channels that an effect does not need stay neutral in it; without: of the models without
+    each effect; optimism: of the final model (`optimism.py`)."""
 
+    problem: Problem
     recalibrated: Model
     final: Model
     without: dict[str, Guess]
@@ -65,28 +70,36 @@ class Numbers(NamedTuple):
     optimism: float | None
 
 
-def final_numbers(problem: Problem, how: Scoring, selection: Selection, tolerance: float | None, block: int) -> Numbers:
+def final_numbers(
+    problem: Problem, how: Scoring, selection: Selection, tolerance: float | None, criteria: Criteria
+) -> Numbers:
     """Segments have no prior: their numbers stay as they are."""
     without = {name: one.base.estimate.guess for name, one in selection.screenings.items()}
     signals, settings = how.signals(problem), how.settings
     if tolerance is None or how.segmented:
         guess = selection.final.estimate.guess
         more = None if how.segmented else optimism(problem, signals, guess, settings)
-        return Numbers(selection.recalibrated, selection.final, without, [], [], more)
+        return Numbers(problem, selection.recalibrated, selection.final, without, [], [], more)
 
-    def settled(model: Model) -> tuple[Problem, Model]:
+    def settled(problem: Problem, model: Model) -> tuple[Problem, Model]:
         held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings)
-        (fitted,) = fitted_models(held, signals, [guess], settings, block)
+        (fitted,) = fitted_models(held, signals, [guess], settings, criteria.block)
         return held, fitted._replace(deviation=_deviation(held, signals, guess, settings))
 
-    held, final = settled(selection.final)
-    _, recalibrated = settled(selection.recalibrated) if selection.screenings else (held, final)
-    fitted = fit_all(held, signals, list(without.values()), settings)
+    held, final = settled(problem, selection.final)
+    fewer, smaller = with_fewest_channels(held, signals, final, settings, criteria)
+    if fewer is not held:
+        held, final = settled(fewer, smaller)
+    _, recalibrated = settled(problem, selection.recalibrated) if selection.screenings else (held, final)
+    out = [i for i, slot in enumerate(held.slots) if slot.meaning.trainable != problem.slots[i].meaning.trainable]
+    alike = [one._replace(theta=moved(one.theta, out, problem.theta[out])) for one in without.values()]
+    fitted = fit_all(held, signals, alike, settings)
     without = {name: guess for name, (guess, _) in zip(without, fitted, strict=True)}
     guess = final.estimate.guess
     unseen = undetermined(held, signals, guess, settings)
     more = optimism(held, signals, guess, settings)
-    return Numbers(recalibrated, final, without, departures(held, final), unseen, more)
+    found = replace(problem, slots=held.slots)
+    return Numbers(found, recalibrated, final, without, departures(held, final), unseen, more)
 
 
 def _deviation(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Float[np.ndarray, " p"]:

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.discovery.code import Code, code_of
 from pgrssnn_jax.effects.base import Effect, SignalRange, WithEffects, add, effects_of, own_of
 from pgrssnn_jax.physics.base import Parameter, Physics, is_parameter
+from pgrssnn_jax.physics.signals import unit_at
 from pgrssnn_jax.physics.simulate import first_output_state
 from pgrssnn_jax.records.record import Record
 
@@ -28,10 +29,11 @@ ALWAYS = -2  # fold of samples that are never left out
 
 
 class Slot(NamedTuple):
-    """What one number of θ is: path of names in the physics' own params or in those of effects, label (names and
-    indices, from 1), its meaning, the effect it belongs to, None: the nominal physics."""
+    """What one number of θ is: path of names in the physics' own params or in those of effects, its place in an array,
+    label (names and indices, from 1), its meaning, the effect it belongs to, None: the nominal physics."""
 
     path: tuple[str, ...]
+    element: tuple[int, ...]
     label: str
     meaning: Parameter
     effect: str | None
@@ -167,7 +169,8 @@ def build_problem(
         effect = keys[0] if place == "effects" and keys[0] in names else None
         for index in np.ndindex(np.shape(value)):
             label = ".".join(keys) + "".join(f"[{i + 1}]" for i in index)
-            slots.append(Slot(keys, label, meaning, effect))
+            own_unit = unit_at(meaning.unit, index, np.shape(value))
+            slots.append(Slot(keys, index, label, meaning._replace(unit=own_unit), effect))
     low, high = _bounds(params, tuple(slots))
     own = len(physics.states)
     free = np.array([i < own or state.fit_initial for i, state in enumerate(full.states)])

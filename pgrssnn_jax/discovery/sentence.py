@@ -50,7 +50,7 @@ def _verdict(
         return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
     if verdict is Verdict.MISCALIBRATED:
         return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
-    titles = " and ".join(effect["title"][0].lower() + effect["title"][1:] for effect in effects)
+    titles = " and ".join(map(_title, effects))
     if verdict is Verdict.UNKNOWN_EFFECT:
         helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
         return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}{helped}."
@@ -64,6 +64,12 @@ def _verdict(
         others = ", ".join(sorted({other["name"] for other in alternatives}))
         return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
     return f"Missing: {titles}; {closed} ({left})."
+
+
+def _title(effect: Mapping[str, Any]) -> str:
+    """With its channels, where it could have more."""
+    at, title = effect["acts_at"], effect["title"][0].lower() + effect["title"][1:]
+    return f"{title} ({', '.join(at)})" if 0 < len(at) < len(effect["channel_names"]) else title
 
 
 def _unexplained(found: Discovery) -> str:

@@ -49,10 +49,19 @@ class Signal(NamedTuple):
     inner: bool = False
 
 
+_EACH = ", "
+
+
 def unit_of_all(signals: Sequence[Signal]) -> str:
-    """Empty where they differ."""
-    units = {signal.unit for signal in signals}
-    return units.pop() if len(units) == 1 else ""
+    """Of an array with one number per signal; where units differ, all of them in their order: `W, W, K`."""
+    units = [signal.unit for signal in signals]
+    return units[0] if len(set(units)) == 1 else _EACH.join(unit or "1" for unit in units)
+
+
+def unit_at(unit: str, element: Sequence[int], shape: Sequence[int]) -> str:
+    """Of one element of an array whose unit is given as by `unit_of_all`."""
+    units = unit.split(_EACH)
+    return units[element[0]] if element and len(units) == shape[0] > 1 else unit
 
 
 def is_parameter(leaf: object) -> bool:
