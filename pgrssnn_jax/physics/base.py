@@ -263,24 +263,31 @@ def continuous(
     measure: Measure,
     params: Mapping[str, Any],
     *,
+    states: tuple[Signal, ...],
+    inputs: tuple[Signal, ...],
+    outputs: tuple[Signal, ...],
+    dt: float,
+    parameters: Mapping[str, Any] | None = None,
+    output_timing: OutputTiming = "after_step",
     integrator: Integrator | str = "rk4",
     sub_steps: int = 1,
-    dt: float,
-    **signals: Any,
+    **more: Any,
 ) -> Physics:
     """A `Physics` from dx/dt = derivative(params, x, u), u held over the sample.
 
     integrator: `euler`, `rk4` or `rosenbrock` (`integrate.py`); sub_steps: integration steps of dt / sub_steps seconds
-    per sample. The other arguments are those of `discrete`. Its extension points are `DerivativePoints`.
+    per sample. more: further arguments of `discrete`. Its extension points are `DerivativePoints`.
     """
 
     dt = positive(f"physics {name!r}: dt", dt, "sample time in seconds")
+    signals = {"states": states, "inputs": inputs, "outputs": outputs}
+    more |= {**signals, "parameters": parameters, "output_timing": output_timing}
 
     def build(integrator: Integrator | str, sub_steps: int) -> Physics:
         if not callable(derivative):
             raise ValueError(f"physics {name!r}: derivative: expected a function, found {shown(derivative)}")
         points = derivative_points(derivative, measure, dt=dt, integrator=integrator, sub_steps=sub_steps)
-        physics = discrete(name, *assemble(points), params, dt=dt, **signals)._replace(
+        physics = discrete(name, *assemble(points), params, dt=dt, **more)._replace(
             origin=Origin(build, {"integrator": integrator, "sub_steps": sub_steps}, source=derivative)
         )
         return extended(physics, points, assemble)
