@@ -91,6 +91,18 @@ def test_the_test_record_is_simulated_from_what_is_known_of_its_start(problem, s
     assert said.after.interval[0] < said.after.error < said.after.interval[1]
 
 
+def test_what_predicts_no_better_than_the_nominal_physics_is_no_improvement(problem):
+    """A recalibration may do harm on another record, and an effect may only undo that."""
+    right = Guess((), problem.theta, np.zeros((1, 1)))
+    wrong = Guess(("sensor_offset",), problem.put(problem.theta, "sensor_offset", {"offset": [0.8]}), right.x0)
+    record = plant(0.0, 0.0)
+    setup = setup_of(problem, record, record, choices(n_init=30), Start.AT_REST)
+    with jax.enable_x64(True):
+        said = validations_on_test(problem, setup, (right, wrong, right), {}, Settings(steps=10), 1.0)
+    assert said.recalibrated.error > 0.7
+    assert said.improvement == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
 @pytest.mark.parametrize("start", list(Start))
 @pytest.mark.parametrize("phase", [0.3, pytest.param(2.5, marks=pytest.mark.slow), 4.4])
 def test_no_record_shares_its_phase_with_another(start, phase):
