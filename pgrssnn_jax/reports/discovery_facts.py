@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgrssnn_jax.physics.signals import unit_at
 from pgrssnn_jax.reports.content import MISSING, Metrics, Number, number
 
 Discovery = Mapping[str, Any]
@@ -174,7 +175,7 @@ def remarks(discovery: Discovery) -> list[str]:
 
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs. Those that were
-    taken out, zero without a deviation or at infinity, are left out."""
+    taken out, at channels at which the effect does not act, zero without a deviation or at infinity, are left out."""
     rows = []
     for name, parameter in (effect.get("parameters") or {}).items():
         values = _array(parameter.get("value"))
@@ -182,11 +183,13 @@ def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
             np.broadcast_to(_array(parameter.get(key)), values.shape).ravel() for key in ("std", "at_bound")
         )
         symbol, unit = parameter.get("symbol") or name, parameter.get("unit") or ""
-        names = [f"{symbol}, {place}" if place else str(symbol) for place in _places(effect, values.shape)]
+        places, several = _places(effect, values.shape), effect.get("channel_names") or ()
+        elsewhere = set(several) - set(effect.get("acts_at") or several)
+        units = [unit_at(unit, index, values.shape) for index in np.ndindex(values.shape)]
         rows += [
-            Quantity(n, float(v), float(s), unit, b == 1.0)
-            for n, v, s, b in zip(names, values.flat, stds, at_bound, strict=True)
-            if (v and np.isfinite(v)) or s or b == 1.0
+            Quantity(f"{symbol}, {place}" if place else str(symbol), float(v), float(s), of, b == 1.0)
+            for place, of, v, s, b in zip(places, units, values.flat, stds, at_bound, strict=True)
+            if place not in elsewhere and ((v and np.isfinite(v)) or s or b == 1.0)
         ]
     return rows
 

@@ -147,6 +147,14 @@ def test_numbers_by_joint_name_their_joint():
     assert [row.name for row in facts.quantities(gain)] == ["g, output 1", "g, output 2"]
     named = gain | {"channel_names": ["level", "temperature"]}
     assert [row.name for row in facts.quantities(named)] == ["g, level", "g, temperature"]
+    (one,) = facts.quantities(named | {"acts_at": ["temperature"]})
+    assert (one.name, one.value) == ("g, temperature", 2.0)
+
+
+def test_numbers_of_channels_have_the_units_of_their_signals():
+    offset = {"value": [0.1, 0.2], "std": [0.01, 0.02], "symbol": "b", "unit": "V, K"}
+    rows = facts.quantities({"parameters": {"offset": offset}, "channel_names": ["level", "temperature"]})
+    assert [row.unit for row in rows] == ["V", "K"]
 
 
 def test_a_limit_that_is_not_there_is_no_quantity():
