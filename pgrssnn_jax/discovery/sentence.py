@@ -10,6 +10,8 @@ from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.verdict import Verdict
 
+_MOST = 0.5  # of the gap: an effect that closes less may stand for something else
+
 
 def sentence(
     found: Discovery,
@@ -60,10 +62,11 @@ def _verdict(
     if verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
     left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"
+    missing = "Missing" if share >= 100 * _MOST else "Missing, but most of the gap stays open"
     if verdict is Verdict.AMBIGUOUS:
         others = ", ".join(sorted({other["name"] for other in alternatives}))
-        return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
-    return f"Missing: {titles}; {closed} ({left})."
+        return f"{missing}: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
+    return f"{missing}: {titles}; {closed} ({left})."
 
 
 def _title(effect: Mapping[str, Any]) -> str:

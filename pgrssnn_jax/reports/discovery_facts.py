@@ -31,6 +31,9 @@ STAGES = {"before": "nominal physics", "recalibrated": "numbers refitted", "afte
 SHOWN_INTERVALS = 5
 
 
+_MOST = 0.5  # of the gap
+
+
 class GapRow(NamedTuple):
     """The error of one stage of the physics; low and high: interval of the test figure."""
 
@@ -101,6 +104,9 @@ def by_torques(discovery: Discovery) -> bool:
 
 def heading(discovery: Discovery) -> str:
     verdict, count = str(discovery["verdict"]), len(discovery.get("effects") or ())
+    left = real((discovery.get("gap") or {}).get("open_fraction"))
+    if verdict == "effect_found" and left > _MOST:
+        return "A part of what is missing was found"
     if verdict == "effect_found" and count > 1:
         return f"{count} missing effects were found"
     return VERDICTS.get(verdict, verdict)
@@ -183,7 +189,8 @@ def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
             np.broadcast_to(_array(parameter.get(key)), values.shape).ravel() for key in ("std", "at_bound")
         )
         symbol, unit = parameter.get("symbol") or name, parameter.get("unit") or ""
-        places, several = _places(effect, values.shape), effect.get("channel_names") or ()
+        places: list[str] = _places(effect, values.shape)
+        several: Sequence[str] = effect.get("channel_names") or ()
         elsewhere = set(several) - set(effect.get("acts_at") or several)
         units = [unit_at(unit, index, values.shape) for index in np.ndindex(values.shape)]
         rows += [

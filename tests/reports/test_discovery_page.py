@@ -151,6 +151,12 @@ def test_numbers_by_joint_name_their_joint():
     assert (one.name, one.value) == ("g, temperature", 2.0)
 
 
+def test_an_effect_that_leaves_most_of_the_gap_open_is_a_part_of_what_is_missing():
+    found = {"verdict": "effect_found", "effects": [{}], "gap": {"open_fraction": 0.4}}
+    assert facts.heading(found) == facts.VERDICTS["effect_found"]
+    assert facts.heading(found | {"gap": {"open_fraction": 0.9}}) == "A part of what is missing was found"
+
+
 def test_numbers_of_channels_have_the_units_of_their_signals():
     offset = {"value": [0.1, 0.2], "std": [0.01, 0.02], "symbol": "b", "unit": "V, K"}
     rows = facts.quantities({"parameters": {"offset": offset}, "channel_names": ["level", "temperature"]})

@@ -1,0 +1,36 @@
+"""What the sentence says of the gap, and of where effects act."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from pgrssnn_jax.discovery.discover import Discovery
+from pgrssnn_jax.discovery.sentence import sentence
+from pgrssnn_jax.discovery.verdict import Verdict
+
+OFFSET = {
+    "name": "input_offset",
+    "title": "Input offset",
+    "channel_names": ["heat1", "heat2", "outdoor"],
+    "acts_at": ["heat1"],
+    "parameters": {},
+}
+
+
+def said(closed: float, at: list[str]) -> str:
+    told = {"judgement": SimpleNamespace(verdict=Verdict.EFFECT_FOUND)}  # of the rest it says nothing here
+    found = Discovery._make(told.get(name) for name in Discovery._fields)
+    errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
+    gap = {**errors, "metric": "RMSE", "unit": "K", "floor": 0.1, "closed_fraction": closed}
+    return sentence(found, gap, [OFFSET | {"acts_at": at}], [], [], "everywhere alike")
+
+
+@pytest.mark.parametrize(("closed", "begins"), [(0.9, "Missing: "), (0.2, "Missing, but most of the gap stays open: ")])
+def test_it_begins_with_what_stays_open_where_that_is_most(closed, begins):
+    assert said(closed, ["heat1"]).startswith(f"{begins}input offset (heat1); ")
+    assert f"{100 * closed:.0f} % of the gap above the noise closed" in said(closed, ["heat1"])
+
+
+def test_channels_are_named_where_there_are_others():
+    assert "input offset;" in said(0.9, OFFSET["channel_names"])
+    assert "input offset (heat1, outdoor);" in said(0.9, ["heat1", "outdoor"])
