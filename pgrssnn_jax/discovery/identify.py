@@ -81,8 +81,8 @@ def final_numbers(
         more = None if how.segmented else optimism(problem, signals, guess, settings)
         return Numbers(problem, selection.recalibrated, selection.final, without, [], [], more)
 
-    def settled(problem: Problem, model: Model) -> tuple[Problem, Model]:
-        held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings)
+    def settled(problem: Problem, model: Model, *, remembering: bool = True) -> tuple[Problem, Model]:
+        held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings, remembering=remembering)
         (fitted,) = fitted_models(held, signals, [guess], settings, criteria.block)
         return held, fitted._replace(deviation=_deviation(held, signals, guess, settings))
 
@@ -90,9 +90,11 @@ def final_numbers(
     fewer, smaller = with_fewest_channels(held, signals, final, settings, criteria)
     if fewer is not held:
         held, final = settled(fewer, smaller)
-    _, recalibrated = settled(problem, selection.recalibrated) if selection.screenings else (held, final)
-    out = [i for i, slot in enumerate(held.slots) if slot.meaning.trainable != problem.slots[i].meaning.trainable]
-    alike = [one._replace(theta=moved(one.theta, out, problem.theta[out])) for one in without.values()]
+    recalibrated = final
+    if selection.screenings:  # what its errors remember is what is missing, and no noise
+        _, recalibrated = settled(problem, selection.recalibrated, remembering=False)
+    taken = [i for i, slot in enumerate(held.slots) if slot.meaning.trainable != problem.slots[i].meaning.trainable]
+    alike = [one._replace(theta=moved(one.theta, taken, problem.theta[taken])) for one in without.values()]
     fitted = fit_all(held, signals, alike, settings)
     without = {name: guess for name, (guess, _) in zip(without, fitted, strict=True)}
     guess = final.estimate.guess
@@ -113,13 +115,13 @@ def _deviation(problem: Problem, signals: Signals, guess: Guess, settings: Setti
 
 
 def most_likely(
-    problem: Problem, signals: Signals, guess: Guess, tolerance: float, settings: Settings
+    problem: Problem, signals: Signals, guess: Guess, tolerance: float, settings: Settings, *, remembering: bool = True
 ) -> tuple[Problem, Guess]:
-    """The minimum above, and the problem whose prior has that weight."""
+    """The minimum above, and the problem whose prior has that weight; remembering: False for τ = 1."""
     settings = settings._replace(steps=max(settings.steps, _STEPS))
     for _ in range(_ROUNDS):
         now = evaluate(problem, signals, guess)
-        variance = now.cost / signals.size * longest_memory(now.error)
+        variance = now.cost / signals.size * (longest_memory(now.error) if remembering else 1.0)
         if abs(variance - problem.noise) <= _SAME * problem.noise:
             break
         problem = problem.held(tolerance, variance)
