@@ -5,12 +5,13 @@
 An effect has a number for every input, output or state. Two of them may do the same: offsets of three inputs of a
 system with two states, disturbances of two inputs that reach one output. Then the data determine a combination alone,
 and the channel that acts more is kept. L: of left-out blocks, after all other numbers are fitted again. Which channel
-comes first is told by the linearised model: by the rise of the cost without it, where that is more than nothing.
+comes first is told by the linearised model: by the rise of the cost without it, where that is more than nothing. Where
+another channel in its place does as well, the data do not tell at which one the effect acts.
 Source of the standard error: Hastie, Tibshirani, Friedman, The Elements of Statistical Learning, 2009, section 7.10.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +28,27 @@ from pgrssnn_jax.discovery.settings import Criteria
 _RIDGE = 1e-10  # of a column's energy
 
 
-class Channel(NamedTuple):
-    """Of an effect. places: of its numbers in θ; rise: of the log-likelihood that it is worth, by the linearised model;
-    energy: of what it does to the free run; without: the numbers of θ without it, and x_0."""
+class Fewest(NamedTuple):
+    """problem: the numbers of channels that were taken out are neutral and stay so; elsewhere: per effect, models that
+    have another channel of it in the place of one that is left, and under which the record is as likely."""
+
+    problem: Problem
+    model: Model
+    elsewhere: dict[str, list[Model]]
+
+
+class _Linear(NamedTuple):
+    """A model and its linearisation. free: places in θ of the first columns; inverse: of the normal matrix."""
+
+    guess: Guess
+    at: Linearisation
+    free: Int[np.ndarray, " k"]
+    inverse: Float[np.ndarray, "d d"]
+
+
+class _Channel(NamedTuple):
+    """Of an effect. places: of its numbers in θ; rise: of the cost without it, by the linearised model; energy: of what
+    it does to the free run; without: the numbers of θ without it, and x_0."""
 
     effect: str
     places: Int[np.ndarray, " n"]
@@ -40,43 +59,87 @@ class Channel(NamedTuple):
 
 def with_fewest_channels(
     problem: Problem, signals: Signals, model: Model, settings: Settings, criteria: Criteria
-) -> tuple[Problem, Model]:
-    """model: at its optimum. The problem in which the numbers of other channels are neutral and stay so."""
-    whole, settled = model, set[str]()
-    while True:
-        channels = [one for one in _channels(problem, signals, model, settings) if one.effect not in settled]
-        if not channels:
-            return problem, model
-        least = min(channels, key=lambda one: (max(one.rise, LEAST_GAIN), one.energy))
-        smaller = _held(problem, least.places)
-        ((guess, _),) = fit_all(smaller, signals, [least.without], settings)
-        (fewer,) = fitted_models(smaller, signals, [guess], settings, criteria.block)
+) -> Fewest:
+    """model: at its optimum."""
+    whole, smaller, settled = model, problem, set[str]()
+    nothing = 2.0 * LEAST_GAIN * model.estimate.cost / signals.size  # rise of a cost
+    while channels := [one for one in _channels(smaller, signals, model, settings) if one.effect not in settled]:
+        least = min(channels, key=lambda one: (max(one.rise, nothing), one.energy))
+        held = _held(smaller, least.places)
+        fewer = _refitted(held, signals, least.without, settings, criteria)
         worse, error = whole.better_than(fewer)
         if worse <= criteria.standard_errors * error:
-            problem, model = smaller, fewer
+            smaller, model = held, fewer
         else:
             settled.add(least.effect)
+    return Fewest(smaller, model, _elsewhere(problem, smaller, signals, (whole, model), settings, criteria))
 
 
-def _channels(problem: Problem, signals: Signals, model: Model, settings: Settings) -> Iterator[Channel]:
+def _refitted(problem: Problem, signals: Signals, guess: Guess, settings: Settings, criteria: Criteria) -> Model:
+    ((fitted, _),) = fit_all(problem, signals, [guess], settings)
+    (model,) = fitted_models(problem, signals, [fitted], settings, criteria.block)
+    return model
+
+
+def _channels(problem: Problem, signals: Signals, model: Model, settings: Settings) -> list[_Channel]:
     """Of all effects that have several."""
     guess = model.estimate.guess
-    several = {name: _places(problem, guess, name) for name in guess.active}
-    if not any(len(places) > 1 for places in several.values()):
-        return
+    several = [(name, places) for name in guess.active if len(places := _places(problem, guess, name)) > 1]
+    if not several:
+        return []
+    linear = _linearised(problem, signals, guess, settings)
+    return [_Channel(name, own, *_without(problem, linear, own)) for name, places in several for own in places]
+
+
+def _elsewhere(
+    problem: Problem,
+    smaller: Problem,
+    signals: Signals,
+    models: tuple[Model, Model],
+    settings: Settings,
+    criteria: Criteria,
+) -> dict[str, list[Model]]:
+    """models: with all channels, and with the fewest."""
+    (whole, model), found = models, dict[str, list[Model]]()
+    start = whole.estimate.guess
+    places = {name: (_places(problem, start, name), _places(smaller, start, name)) for name in start.active}
+    out = {name: [own for own in every if not np.isin(own, kept).any()] for name, (every, kept) in places.items()}
+    if not any(out.values()):
+        return found
+    taken = np.concatenate([own for of_effect in out.values() for own in of_effect])
+    linear = _linearised(problem, signals, start, settings)
+    for name, of_effect in out.items():
+        for own, kept in product(of_effect, places[name][1]):
+            held = np.union1d(np.setdiff1d(taken, own), kept)
+            other = _refitted(_held(problem, held), signals, _without(problem, linear, held)[-1], settings, criteria)
+            less = 0.5 * signals.size * np.log(other.estimate.cost / model.estimate.cost)
+            if less <= criteria.alike:
+                found.setdefault(name, []).append(other)
+    return found
+
+
+def _linearised(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> _Linear:
     (run,) = runs(problem, signals, [guess], settings)
     at, free = linearisation(problem, signals, guess, run)
-    inverse = _inverse(at)
-    for name, places in several.items():
-        for own in places if len(places) > 1 else ():
-            here = np.flatnonzero(np.isin(free, own))
-            change = problem.theta[free[here]] - guess.theta[free[here]]
-            force = np.linalg.solve(inverse[np.ix_(here, here)], change)
-            step, theta = (inverse[:, here] @ force)[: len(free)], guess.theta.copy()
-            theta[free] = np.clip(theta[free] + step, problem.low[free], problem.high[free])
-            rise = 0.5 * float(change @ force) * signals.size / max(model.estimate.cost, 1e-300)
-            energy = float(((at.columns[..., here] @ change) ** 2).sum())
-            yield Channel(name, own, rise, energy, Guess(guess.active, moved(theta, own, problem.theta[own]), guess.x0))
+    k = at.columns.shape[-1]
+    columns = at.columns.reshape(-1, k)
+    normal = columns.T @ columns + np.diag(at.precision)
+    size = np.sqrt(np.where(np.diag(normal) > 0.0, np.diag(normal), 1.0))  # 0: what changes nothing
+    inverse = np.linalg.inv(normal / size / size[:, None] + _RIDGE * np.eye(k)) / size / size[:, None]
+    return _Linear(guess, at, free, inverse)
+
+
+def _without(problem: Problem, linear: _Linear, own: Int[np.ndarray, " n"]) -> tuple[float, float, Guess]:
+    """Rise of the cost, energy of the change of the free run, and where a fit without these numbers begins."""
+    guess, at, free, inverse = linear
+    here = np.flatnonzero(np.isin(free, own))
+    change = problem.theta[free[here]] - guess.theta[free[here]]
+    force = np.linalg.solve(inverse[np.ix_(here, here)], change)
+    step, theta = (inverse[:, here] @ force)[: len(free)], guess.theta.copy()
+    theta[free] = np.clip(theta[free] + step, problem.low[free], problem.high[free])
+    energy = float(((at.columns[..., here] @ change) ** 2).sum())
+    begun = Guess(guess.active, moved(theta, own, problem.theta[own]), guess.x0)
+    return float(change @ force), energy, begun
 
 
 def _places(problem: Problem, guess: Guess, name: str) -> list[Int[np.ndarray, " n"]]:
@@ -88,14 +151,6 @@ def _places(problem: Problem, guess: Guess, name: str) -> list[Int[np.ndarray, "
         if len(index) == len(owners) > 0 and np.isfinite(problem.theta[i]):
             found.setdefault(index, []).append(int(i))
     return [np.array(own) for own in found.values()]
-
-
-def _inverse(at: Linearisation) -> Float[np.ndarray, "k k"]:
-    k = at.columns.shape[-1]
-    columns = at.columns.reshape(-1, k)
-    normal = columns.T @ columns + np.diag(at.precision)
-    size = np.sqrt(np.where(np.diag(normal) > 0.0, np.diag(normal), 1.0))  # 0: what changes nothing
-    return np.linalg.inv(normal / size / size[:, None] + _RIDGE * np.eye(k)) / size / size[:, None]
 
 
 def _held(problem: Problem, places: Int[np.ndarray, " n"]) -> Problem:

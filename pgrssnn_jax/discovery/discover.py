@@ -28,7 +28,7 @@ from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
-from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention
+from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention, with_channels
 from pgrssnn_jax.records.record import Record
 
 _LOCATED = 24  # sequences or segments whose correction is estimated
@@ -101,13 +101,14 @@ def discover_in(
             numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria)
         with timed(seconds, "prove"):
             whole, train, test = _validated(named, numbers, setup)
+    told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,
         estimation=whole,
         selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),
         nameless=judged.nameless,
-        judgement=confirmed(judged.judgement, test.improvement, test.relative),
+        judgement=confirmed(told, test.improvement, test.relative),
         formula=judged.formula,
         location=location,
         convention=judged.convention,

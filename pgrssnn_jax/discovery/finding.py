@@ -1,10 +1,11 @@
 """One finding: an effect with its numbers, where and when it acts, what it closes, and what would do nearly as well."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import scipy
+from jaxtyping import Float
 
 from pgrssnn_jax.discovery.candidates import Model
 from pgrssnn_jax.discovery.discover import Discovery
@@ -34,8 +35,8 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
 
     said: dict[str, Any] = {
         **described(effect),
-        "channel_names": (names := channel_names(problem.physics, effect)),
-        "acts_at": _acts_at(problem, effect, names),
+        "channel_names": channel_names(problem.physics, effect),
+        "acts_at": acts_at(problem, name, final.estimate.theta),
         "parameters": fitted(problem, final, name),
         "region": _region(found, acting),
         "active_fraction": float(acting.sum() / within_record(found.signals).sum()),
@@ -112,10 +113,16 @@ def channel_names(physics: Physics, effect: Effect) -> list[str]:
     return names if any(shape == (len(names),) for shape in effect.shapes.values()) else []
 
 
-def _acts_at(problem: Problem, effect: Effect, names: Sequence[str]) -> list[str]:
-    """Those of the channels that the model keeps (`channels.py`)."""
-    kept = {problem.slots[i].element[0] for i in problem.of(effect.name) if problem.slots[i].element}
-    return [name for k, name in enumerate(names) if k in kept]
+def acts_at(problem: Problem, name: str, theta: Float[np.ndarray, " p"]) -> list[str]:
+    """Those of the channels at which any number that is fitted is not neutral."""
+    effect = problem.effect(name)
+    moved = {
+        slot.element[0]
+        for i, slot in enumerate(problem.slots)
+        if slot.effect == name and slot.element and effect.parameters[slot.path[-1]].trainable
+        if theta[i] != problem.theta[i]
+    }
+    return [one for k, one in enumerate(channel_names(problem.physics, effect)) if k in moved]
 
 
 def _joints(effect: Effect, numbers: Mapping[str, Any], std: Mapping[str, Any]) -> list[int]:

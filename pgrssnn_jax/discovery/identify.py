@@ -58,12 +58,13 @@ class Combination(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Of a selection. problem: channels that an effect does not need stay neutral in it; without: of the models without
-    each effect; optimism: of the final model (`optimism.py`)."""
+    """Of a selection. problem: channels that an effect does not need stay neutral in it; elsewhere: see
+    `channels.Fewest`; without: of the models without each effect; optimism: of the final model (`optimism.py`)."""
 
     problem: Problem
     recalibrated: Model
     final: Model
+    elsewhere: dict[str, list[Model]]
     without: dict[str, Guess]
     departures: list[Departure]
     undetermined: list[Combination]
@@ -79,7 +80,7 @@ def final_numbers(
     if tolerance is None or how.segmented:
         guess = selection.final.estimate.guess
         more = None if how.segmented else optimism(problem, signals, guess, settings)
-        return Numbers(problem, selection.recalibrated, selection.final, without, [], [], more)
+        return Numbers(problem, selection.recalibrated, selection.final, {}, without, [], [], more)
 
     def settled(problem: Problem, model: Model, *, remembering: bool = True) -> tuple[Problem, Model]:
         held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings, remembering=remembering)
@@ -87,9 +88,9 @@ def final_numbers(
         return held, fitted._replace(deviation=_deviation(held, signals, guess, settings))
 
     held, final = settled(problem, selection.final)
-    fewer, smaller = with_fewest_channels(held, signals, final, settings, criteria)
-    if fewer is not held:
-        held, final = settled(fewer, smaller)
+    fewest = with_fewest_channels(held, signals, final, settings, criteria)
+    if fewest.problem is not held:
+        held, final = settled(fewest.problem, fewest.model)
     recalibrated = final
     if selection.screenings:  # what its errors remember is what is missing, and no noise
         _, recalibrated = settled(problem, selection.recalibrated, remembering=False)
@@ -101,7 +102,7 @@ def final_numbers(
     unseen = undetermined(held, signals, guess, settings)
     more = optimism(held, signals, guess, settings)
     found = replace(problem, slots=held.slots)
-    return Numbers(found, recalibrated, final, without, departures(held, final), unseen, more)
+    return Numbers(found, recalibrated, final, fewest.elsewhere, without, departures(held, final), unseen, more)
 
 
 def _deviation(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Float[np.ndarray, " p"]:

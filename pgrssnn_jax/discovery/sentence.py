@@ -64,9 +64,14 @@ def _verdict(
     left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"
     missing = "Missing" if share >= 100 * _MOST else "Missing, but most of the gap stays open"
     if verdict is Verdict.AMBIGUOUS:
-        others = ", ".join(sorted({other["name"] for other in alternatives}))
+        others = ", ".join(sorted({_called(other) for other in alternatives}))
         return f"{missing}: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
     return f"{missing}: {titles}; {closed} ({left})."
+
+
+def _called(other: Mapping[str, Any]) -> str:
+    """An alternative; of an effect at another channel, the channel."""
+    return f"{other['name']} ({', '.join(other['acts_at'])})" if other["name"] == other["instead_of"] else other["name"]
 
 
 def _title(effect: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import (
+    acts_at,
     channel_names,
     closed_on_test,
     finding,
@@ -139,6 +140,7 @@ def _alternatives(found: Discovery) -> list[dict[str, Any]]:
                     "instead_of": name,
                     "gain": float(_energy(found.selection.screenings[name], other.gain)),
                     "channel_names": channel_names(found.problem.physics, found.problem.effect(other.name)),
+                    "acts_at": acts_at(found.problem, other.name, other.guess.theta),
                     "parameters": fitted(found.problem, other.model, other.name) if other.model else {},
                     "experiment": _experiment(found.problem, name, other.name),
                 }
@@ -153,8 +155,13 @@ _EXPERIMENTS = {
 }
 
 
+_ONE_BY_ONE = "a record in which the signals of these channels change one at a time"
+
+
 def _experiment(problem: Problem, one: str, other: str) -> str:
-    """What would tell two effects apart, by where they act."""
+    """What would tell two effects apart, by where they act, or one at two channels."""
+    if one == other:
+        return _ONE_BY_ONE
     places = sorted({problem.effect(one).acts_on, problem.effect(other).acts_on}, key=list(_EXPERIMENTS).index)
     return "; or ".join(_EXPERIMENTS[place] for place in places)
 

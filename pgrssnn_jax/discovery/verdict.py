@@ -9,6 +9,7 @@ unexplained      errors stand clearly above the noise, and nothing accounts for 
 not_confirmed    effects were found on the estimation record, and the test record refutes them
 """
 
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -65,6 +66,18 @@ def judge(
         shifted = nominal > criteria.shifted * selection.first.rms()
         verdict = Verdict.MISCALIBRATED if shifted else Verdict.NO_DISCREPANCY
     return Judgement(verdict, unnamed, alternatives)
+
+
+def with_channels(judgement: Judgement, selection: Selection, elsewhere: Mapping[str, Sequence[Model]]) -> Judgement:
+    """The same where an effect at another channel is as likely: that is an alternative, too."""
+    others = dict(judgement.alternatives)
+    for name, models in elsewhere.items():
+        gain = next((c.gain for c in selection.screenings[name].candidates if c.name == name), 0.0)
+        others[name] = (*others.get(name, ()), *(Candidate(name, gain, one.estimate.guess, one) for one in models))
+    verdict = judgement.verdict
+    if verdict is Verdict.EFFECT_FOUND and any(others.values()):
+        verdict = Verdict.AMBIGUOUS
+    return judgement._replace(verdict=verdict, alternatives=others)
 
 
 def reading_convention(problem: Problem, model: Model) -> str | None:

@@ -89,7 +89,7 @@ def _next(discovery: Discovery) -> Iterator[str]:
     experiments: dict[tuple[str, str], list[str]] = {}
     for row in discovery.get("alternatives") or ():
         key = str(row.get("instead_of") or "the discovered effects"), str(row.get("experiment") or "another record")
-        experiments.setdefault(key, []).append(str(row["name"]))
+        experiments.setdefault(key, []).append(facts.called(row))
     for (found, experiment), names in experiments.items():
         yield f"To distinguish {', '.join(names)} from {found}: {experiment}."
     reasons: dict[str, list[str]] = {}

@@ -179,6 +179,12 @@ def remarks(discovery: Discovery) -> list[str]:
     return said
 
 
+def called(alternative: Mapping[str, Any]) -> str:
+    """Its name, with its channels where it is the effect that was found, at others."""
+    name, at = str(alternative["name"]), ", ".join(alternative.get("acts_at") or ())
+    return f"{name} at {at}" if at and name == alternative.get("instead_of") else name
+
+
 def quantities(effect: Mapping[str, Any]) -> list[Quantity]:
     """The numbers of an effect; lists are spelled out, by joint or channel, matrices by both of theirs. Those that were
     taken out, at channels at which the effect does not act, zero without a deviation or at infinity, are left out."""

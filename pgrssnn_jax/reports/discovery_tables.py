@@ -44,7 +44,7 @@ def finding_table(effect: Mapping[str, Any]) -> Table:
 def open_tables(discovery: Discovery) -> list[Table]:
     """What could not be told; none where there is nothing of the kind."""
     others = [
-        [str(row["name"]), _numbers(row), percent(row.get("gain")), str(row.get("experiment") or MISSING)]
+        [facts.called(row), _numbers(row), percent(row.get("gain")), str(row.get("experiment") or MISSING)]
         for row in discovery.get("alternatives") or ()
     ]
     silent = [[str(row["name"]), str(row.get("reason") or MISSING)] for row in discovery.get("untestable") or ()]

@@ -42,28 +42,36 @@ def recorded(problem: Problem, offset: list[float]) -> Signals:
     )
 
 
-def fewest(gains: list[list[float]], offset: list[float]) -> tuple[np.ndarray, list[int], Model]:
-    """The offsets found, the channels that are kept, and the model."""
+def fewest(gains: list[list[float]], offset: list[float]) -> tuple[np.ndarray, list[int], list[Model]]:
+    """The offsets found, the channels that are kept, and the models with another one."""
     problem = built(gains)
     signals = recorded(problem, offset)
     begun = Guess((NAME,), problem.put(problem.theta, NAME, {"offset": np.array([0.1, 0.1])}), signals.start)
     ((guess, _),) = fit_all(problem, signals, [begun], SETTINGS)
     (model,) = fitted_models(problem, signals, [guess], SETTINGS, CRITERIA.block)
-    smaller, found = with_fewest_channels(problem, signals, model, SETTINGS, CRITERIA)
+    smaller, found, elsewhere = with_fewest_channels(problem, signals, model, SETTINGS, CRITERIA)
     places = problem.of(NAME)
-    return found.estimate.theta[places], np.flatnonzero(np.isin(places, smaller.of(NAME))).tolist(), found
+    return (
+        found.estimate.theta[places],
+        np.flatnonzero(np.isin(places, smaller.of(NAME))).tolist(),
+        elsewhere.get(NAME, []),
+    )
 
 
 def test_of_inputs_that_do_the_same_one_is_kept_with_what_both_do():
-    offset, kept, _ = fewest(ALIKE, [0.3, 0.2])
+    offset, kept, (other,) = fewest(ALIKE, [0.3, 0.2])
     assert len(kept) == 1
     assert offset[1 - kept[0]] == 0.0
     assert offset @ [1.0, 2.0] == pytest.approx(0.7, abs=0.02)
+    swapped = other.estimate.theta[built(ALIKE).of(NAME)]
+    assert swapped[kept[0]] == 0.0
+    assert swapped @ [1.0, 2.0] == pytest.approx(0.7, abs=0.02), "the other input would do"
 
 
 def test_of_inputs_that_act_apart_those_are_kept_that_have_an_offset():
-    offset, kept, _ = fewest(APART, [0.3, 0.0])
+    offset, kept, elsewhere = fewest(APART, [0.3, 0.0])
     assert kept == [0]
+    assert not elsewhere
     assert offset == pytest.approx([0.3, 0.0], abs=0.02)
     offset, kept, _ = fewest(APART, [0.3, -0.2])
     assert kept == [0, 1]

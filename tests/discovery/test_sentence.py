@@ -1,5 +1,6 @@
 """What the sentence says of the gap, and of where effects act."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import pytest
@@ -17,18 +18,24 @@ OFFSET = {
 }
 
 
-def said(closed: float, at: list[str]) -> str:
-    told = {"judgement": SimpleNamespace(verdict=Verdict.EFFECT_FOUND)}  # of the rest it says nothing here
+def said(closed: float, at: list[str], verdict: Verdict = Verdict.EFFECT_FOUND, others: Sequence = ()) -> str:
+    told = {"judgement": SimpleNamespace(verdict=verdict)}  # of the rest it says nothing here
     found = Discovery._make(told.get(name) for name in Discovery._fields)
     errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
     gap = {**errors, "metric": "RMSE", "unit": "K", "floor": 0.1, "closed_fraction": closed}
-    return sentence(found, gap, [OFFSET | {"acts_at": at}], [], [], "everywhere alike")
+    return sentence(found, gap, [OFFSET | {"acts_at": at}], others, [], "everywhere alike")
 
 
 @pytest.mark.parametrize(("closed", "begins"), [(0.9, "Missing: "), (0.2, "Missing, but most of the gap stays open: ")])
 def test_it_begins_with_what_stays_open_where_that_is_most(closed, begins):
     assert said(closed, ["heat1"]).startswith(f"{begins}input offset (heat1); ")
     assert f"{100 * closed:.0f} % of the gap above the noise closed" in said(closed, ["heat1"])
+
+
+def test_another_channel_of_the_same_effect_is_an_alternative():
+    other = {"name": "input_offset", "instead_of": "input_offset", "acts_at": ["heat2"]}
+    told = said(0.9, ["heat1"], Verdict.AMBIGUOUS, [other, {"name": "leak", "instead_of": "input_offset"}])
+    assert "input offset (heat1), or, which these data cannot tell apart, input_offset (heat2), leak;" in told
 
 
 def test_channels_are_named_where_there_are_others():

@@ -13,7 +13,7 @@ from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.spectrum import Line
-from pgrssnn_jax.discovery.verdict import Judgement, Verdict, confirmed, judge
+from pgrssnn_jax.discovery.verdict import Judgement, Verdict, confirmed, judge, with_channels
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -160,6 +160,20 @@ def test_a_spectral_line_is_unknown(problem):
 )
 def test_errors_that_follow_the_signals_are_unknown_unless_names_explain_most(problem, named, follows, expected):
     assert judged(problem, 100.0, named, follows=follows).verdict is expected
+
+
+@pytest.mark.parametrize("verdict", [Verdict.EFFECT_FOUND, Verdict.UNKNOWN_EFFECT])
+def test_an_effect_that_is_as_likely_at_another_channel_is_ambiguous(problem, verdict):
+    name, other = "sensor_offset", model(problem, 1.0, ("sensor_offset",))
+    beside = screening(model(problem, 100.0), {name: other})
+    selection = Selection(beside.base, other, {name: beside}, beside, beside, 1.0)
+    given = Judgement(verdict, None, {name: ()})
+    assert with_channels(given, selection, {}) == given
+    found = with_channels(given, selection, {name: [other]})
+    assert found.verdict is (Verdict.AMBIGUOUS if verdict is Verdict.EFFECT_FOUND else verdict)
+    (one,) = found.alternatives[name]
+    assert one.model is other
+    assert one.gain == beside.candidates[0].gain
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))
