@@ -155,7 +155,7 @@ _EXPERIMENTS = {
 }
 
 
-_ONE_BY_ONE = "a record in which the signals of these channels change one at a time"
+_ONE_BY_ONE = "a measurement at these channels, or a record in which their signals change one at a time"
 
 
 def _experiment(problem: Problem, one: str, other: str) -> str:

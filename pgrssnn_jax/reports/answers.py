@@ -58,7 +58,7 @@ def _certainty(discovery: Discovery) -> Iterator[str]:
     gap, (metric, unit) = discovery.get("gap") or {}, facts.gap_metric(discovery)
     low, high = map(facts.real, gap.get("improvement_interval") or (None, None))
     if effects and math.isfinite(low + high):
-        yield f"The test {metric} falls by {number(low)} to {number(high, unit)} (95 %) below the recalibrated physics."
+        yield f"The test {metric} falls by {number(low)} to {number(high, unit)} (95 %) with the effects."
     gain = gap.get("likelihood_gain") or {}
     value, error = map(facts.real, (gain.get("value"), gain.get("std_error")))
     if effects and math.isfinite(value + error):
