@@ -3,10 +3,10 @@
     optimism = sqrt(Σ_q Σ_{t in q} e_t(θ_q)² / Σ_t e_t(θ)²)        θ_q: fitted without quarter q
 
 Quarters are contiguous, so that nothing around a sample holds the model in place; with four sequences or more, each
-quarter consists of whole ones. All runs begin at the start that the whole record has given. Where nothing is missing
-the ratio is that of Akaike's final prediction error; where the model is only near to the truth it is larger. On the
-measured tanks it is 1.73 (with 2, 3, 5, 8 parts 1.79, 1.74, 1.66, 1.69); Akaike's is 1.15, and the error of the test
-record is 1.95 times that of the fit.
+quarter consists of whole sequences. All runs begin at the initial state of the fit to the whole record. Where no effect
+is missing, the ratio is that of Akaike's final prediction error; where the model is only near to the truth it is
+larger. On the measured tanks it is 1.73 (with 2, 3, 5, 8 parts 1.79, 1.74, 1.66, 1.69); Akaike's is 1.15, and the error
+of the test record is 1.95 times that of the fit.
 """
 
 import numpy as np
