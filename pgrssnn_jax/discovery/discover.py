@@ -28,7 +28,14 @@ from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
-from pgrssnn_jax.discovery.verdict import Judgement, confirmed, judge, reading_convention, with_channels
+from pgrssnn_jax.discovery.verdict import (
+    Judgement,
+    confirmed,
+    judge,
+    reading_convention,
+    stand_ins_refuted,
+    with_channels,
+)
 from pgrssnn_jax.records.record import Record
 
 _LOCATED = 24  # sequences or segments whose correction is estimated
@@ -44,7 +51,8 @@ class Location(NamedTuple):
 
 class Discovery(NamedTuple):
     """Everything that was found out. signals and estimation: sequences of the record, uncut; convention: the effect
-    that says no more than when the data were read."""
+    that says no more than when the data were read; refuted: effects that stood for an unknown one, left out because
+    they do harm on the test record."""
 
     problem: Problem
     signals: Signals
@@ -55,6 +63,7 @@ class Discovery(NamedTuple):
     formula: Formula | None
     location: Location
     convention: str | None
+    refuted: tuple[str, ...]
     departures: list[Departure]
     undetermined: list[Combination]
     optimism: float | None
@@ -70,6 +79,14 @@ class Judged(NamedTuple):
     judgement: Judgement
     formula: Formula | None
     convention: str | None
+
+
+class Proved(NamedTuple):
+    """whole: the estimation record uncut; train, test: all models on it and on the test record."""
+
+    whole: Record
+    train: Validations
+    test: Validations
 
 
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
@@ -97,26 +114,28 @@ def discover_in(
         with timed(seconds, "judge"):
             judged = _judged(named, corrected, chosen)
         notify("proving: intervals, and the test record")
-        with timed(seconds, "numbers"):
-            numbers = final_numbers(named.problem, named.how, named.selection, chosen.tolerance, chosen.criteria)
-        with timed(seconds, "prove"):
-            whole, train, test = _validated(named, numbers, setup)
+        numbers, proved = _proved(named, setup, seconds)
+        refuted = stand_ins_refuted(judged.judgement, proved.test.improvement)
+        if refuted:
+            named, judged = _without_stand_ins(named, judged)
+            numbers, proved = _proved(named, setup, seconds)
     told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,
-        estimation=whole,
+        estimation=proved.whole,
         selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),
         nameless=judged.nameless,
-        judgement=confirmed(told, test.improvement, test.relative),
+        judgement=confirmed(told, proved.test.improvement, proved.test.relative),
         formula=judged.formula,
         location=location,
         convention=judged.convention,
+        refuted=refuted,
         departures=numbers.departures,
         undetermined=numbers.undetermined,
         optimism=numbers.optimism,
-        train=train,
-        test=test,
+        train=proved.train,
+        test=proved.test,
         seconds=seconds,
     )
 
@@ -134,14 +153,28 @@ def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Ju
     return Judged(nameless, judgement, _told(corrections, how, selection, judgement), convention)
 
 
-def _validated(named: Named, numbers: Numbers, setup: Setup) -> tuple[Record, Validations, Validations]:
-    """The estimation record uncut, and all models on it and on the test record."""
-    problem, how = named.problem, named.how
-    guesses = (named.nominal, numbers.recalibrated.estimate.guess, numbers.final.estimate.guess)
-    whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
-    memory = longest_memory(numbers.final.estimate.error)
-    train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
-    return whole, train, validations_on_test(problem, setup, guesses, numbers.without, how.settings, memory)
+def _without_stand_ins(named: Named, judged: Judged) -> tuple[Named, Judged]:
+    """The recalibrated physics, and the correction without a name that was found beside it."""
+    alone, selection = judged.nameless.alone, named.selection
+    assert alone is not None
+    bare = selection._replace(final=selection.recalibrated, screenings={}, last=selection.first)
+    judgement = judged.judgement._replace(alternatives={})
+    nameless = judged.nameless._replace(beside=alone, alone=None)
+    return named._replace(selection=bare), judged._replace(nameless=nameless, judgement=judgement, convention=None)
+
+
+def _proved(named: Named, setup: Setup, seconds: dict[str, float]) -> tuple[Numbers, Proved]:
+    """Final numbers, and all models on the estimation record uncut and on the test record."""
+    problem, how, selection, chosen = named.problem, named.how, named.selection, setup.settings
+    with timed(seconds, "numbers"):
+        numbers = final_numbers(problem, how, selection, chosen.tolerance, chosen.criteria)
+    with timed(seconds, "prove"):
+        guesses = (named.nominal, numbers.recalibrated.estimate.guess, numbers.final.estimate.guess)
+        whole = setup.estimation._replace(u=how.uncut.u, y=how.uncut.y, mask=how.uncut.weight > 0)
+        memory = longest_memory(numbers.final.estimate.error)
+        train = train_validations(problem, whole, guesses, how.uncut.start if how.segmented else None)
+        test = validations_on_test(problem, setup, guesses, numbers.without, how.settings, memory)
+    return numbers, Proved(whole, train, test)
 
 
 def _told(corrections: Corrections, how: Scoring, selection: Selection, judgement: Judgement) -> Formula | None:

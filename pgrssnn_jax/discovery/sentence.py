@@ -55,6 +55,8 @@ def _verdict(
     titles = " and ".join(map(_title, effects))
     if verdict is Verdict.UNKNOWN_EFFECT:
         helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
+        if found.refuted:
+            helped = f"; refuted by the test record, and left out: {', '.join(found.refuted)}"
         return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}{helped}."
     if verdict is Verdict.UNEXPLAINED:
         return f"{_unexplained(found)}; {errors}."

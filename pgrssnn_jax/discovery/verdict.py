@@ -102,27 +102,30 @@ def confirmed(judgement: Judgement, improvement: tuple[float, float], relative_e
     return judgement
 
 
+def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
+    """Effects that stand for an unknown one and do harm on the test record, where a correction in their place was found
+    without them."""
+    harmful = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0
+    if not harmful or judgement.unnamed is None or judgement.unnamed[0].base.estimate.active:
+        return ()
+    return tuple(judgement.alternatives)
+
+
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:
-    """A correction without a name that beats the null and predicts better than the named effects, in their place or
-    beside them, by a good part of the gap or of what they leave."""
-    final = selection.final
-    segmented = final.free_run is not None  # the names of an arm act on all joints, a correction on one
-    beside = criteria.nameless if final.estimate.active and not segmented else criteria.share
-    wanted = [(nameless.alone, final, criteria.share)] if nameless.alone else []
-    wanted.append((nameless.beside, nameless.beside.base, beside))
-    for screening, rival, share in wanted:
+    """A correction without a name that beats the null and certainly predicts better than the named effects, in their
+    place or beside them, by what an effect would have to close. In the place of names, which have beaten the null, it
+    is a further look and has the p-value of a further effect."""
+    wanted = [(nameless.alone, selection.final, criteria.further)] if nameless.alone else []
+    wanted.append((nameless.beside, nameless.beside.base, criteria.p_value))
+    for screening, rival, p_value in wanted:
         for one in screening.candidates:
-            if one.model is None or screening.p_value(one) > criteria.p_value:
+            if one.model is None or screening.p_value(one) > p_value:
                 continue
             closed = selection.last.rms() - screening.rms(one.model)
-            if closed >= least_fall(selection, criteria, share) and _surely_better(one.model, rival, criteria):
+            better, error = _compared(one.model, rival)
+            if closed >= least_fall(selection, criteria) and better > criteria.certain * error:
                 return screening, one
     return None
-
-
-def _surely_better(one: Model, other: Model, criteria: Criteria) -> bool:
-    better, error = _compared(one, other)
-    return better > criteria.certain * error
 
 
 def _compared(one: Model, other: Model) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import Discovery, discover_in
 from pgrssnn_jax.discovery.finding import fitted
 from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.serialise import discovery_json
 from pgrssnn_jax.discovery.setup import Start
 from pgrssnn_jax.discovery.untestable import untestable
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -110,6 +111,32 @@ def test_what_the_catalogue_lacks_is_not_called_nothing():
     assert "quadratic_damping" not in {c.name for c in removed.selection.first.candidates}
     assert removed.formula is not None
     assert removed.formula.target.startswith("x")
+
+
+def driven_through_a_dead_zone(samples: int, seed: int, low: float, high: float) -> Record:
+    draw = np.random.default_rng(seed)
+    u, x, y = np.repeat(draw.uniform(low, high, samples // 5), 5)[:, None], np.zeros(2), []
+    for (v,) in u:
+        x = A @ x + B * np.sign(v) * max(abs(v) - 0.5, 0.0)
+        y.append([C @ x + 0.02 * draw.standard_normal()])
+    return record(u, np.array(y), LGSSM)
+
+
+def test_a_stand_in_that_does_harm_on_the_test_record_is_left_out():
+    """A dead zone that has no name here is an offset while the input is mostly positive; then it is negative."""
+    problem = linear_problem("input_offset", fixed=("A", "B", "C"))
+    records = [driven_through_a_dead_zone(n, n, *ends) for n, ends in ((400, (-1.0, 4.0)), (160, (-4.0, 1.0)))]
+    found = discovered(problem, *records, choices())
+    assert found.refuted == ("input_offset",)
+    assert found.judgement.verdict is Verdict.UNKNOWN_EFFECT
+    assert found.selection.final.estimate.active == ()
+    assert found.test.after.error == pytest.approx(found.test.recalibrated.error)
+    assert found.formula is not None
+    assert "u" in found.formula.text
+    told = discovery_json(found, setup_of(problem, *records, choices()), command="")
+    assert told["refuted"] == ["input_offset"]
+    assert told["effects"] == []
+    assert "refuted by the test record, and left out: input_offset" in told["sentence"]
 
 
 def linear_with_decoys(offset: float) -> Discovery:
