@@ -27,7 +27,7 @@ from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
-from pgrssnn_jax.discovery.validate import Validations, train_validations, validations_on_test
+from pgrssnn_jax.discovery.validate import Proved, Validations, train_validations, validations_on_test
 from pgrssnn_jax.discovery.verdict import (
     Judgement,
     confirmed,
@@ -71,6 +71,10 @@ class Discovery(NamedTuple):
     test: Validations
     seconds: dict[str, float]
 
+    @property
+    def proved(self) -> Proved:
+        return Proved(self.estimation, self.train, self.test)
+
 
 class Judged(NamedTuple):
     """formula: of a correction without a name; convention: an effect that is none, but a way of reading."""
@@ -79,14 +83,6 @@ class Judged(NamedTuple):
     judgement: Judgement
     formula: Formula | None
     convention: str | None
-
-
-class Proved(NamedTuple):
-    """whole: the estimation record uncut; train, test: all models on it and on the test record."""
-
-    whole: Record
-    train: Validations
-    test: Validations
 
 
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
@@ -123,10 +119,10 @@ def discover_in(
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,
-        estimation=proved.whole,
+        estimation=proved.estimation,
         selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),
         nameless=judged.nameless,
-        judgement=confirmed(told, proved.test.improvement, proved.test.relative),
+        judgement=confirmed(told, proved.test.improvement, proved.test.relative, proved.closed_fraction),
         formula=judged.formula,
         location=location,
         convention=judged.convention,

@@ -11,7 +11,6 @@ from pgrssnn_jax.discovery.candidates import Model
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.locate import box, intervals
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.validate import white_noise
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.effects.places import LEVEL, VELOCITY, levels, velocities
 from pgrssnn_jax.physics.base import Physics
@@ -43,7 +42,7 @@ def finding(found: Discovery, name: str, command: str) -> dict[str, Any]:
         **when(acting, problem.physics.dt),
         "p_value": screening.p_value(own) if own else None,
         "gain_train": closed(selection.last.rms()),
-        "gain_test": closed_on_test(found, found.test.without[name], found.test.after.error),
+        "gain_test": found.proved.closed(found.test.without[name], found.test.after.error),
         "runner_up": {"name": runner.name, "gain": closed(screening.rms(runner.model))} if runner else None,
         "command": command,
     }
@@ -79,17 +78,6 @@ def described(effect: Effect) -> dict[str, Any]:
         "acts_on": effect.acts_on,
         "channels": effect.channels,
     }
-
-
-def closed_on_test(found: Discovery, error: float, better: float) -> float:
-    """Part of the recalibrated gap on the test record between two errors."""
-    gap = found.test.recalibrated.error - floor(found)
-    return (error - better) / gap if gap > 0 else 0.0
-
-
-def floor(found: Discovery) -> float:
-    """The white noise that the final model leaves in the estimation record, in the metric of the test record."""
-    return white_noise(found.estimation, found.train.after.y, found.test.scale)
 
 
 def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:

@@ -79,6 +79,7 @@ def noise_of(at: Linearisation) -> Noise:
     return Noise(filters, _filtered(left, filters))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a run that nearly leaves the range
 def covariance(at: Linearisation, noise: Noise, variance: float) -> tuple[Float[np.ndarray, "k k"], float]:
     """Covariance of the least squares estimate, and its degrees of freedom: independent samples less numbers. variance:
     of the weighted errors that the prior's precision belongs to."""

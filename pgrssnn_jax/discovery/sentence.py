@@ -8,9 +8,8 @@ import numpy as np
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.noise import longest_memory
+from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.verdict import Verdict
-
-_MOST = 0.5  # of the gap: an effect that closes less may stand for something else
 
 
 def sentence(
@@ -64,11 +63,10 @@ def _verdict(
     if verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
     left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"
-    missing = "Missing" if share >= 100 * _MOST else "Missing, but most of the gap stays open"
     if verdict is Verdict.AMBIGUOUS:
         others = ", ".join(sorted({_called(other) for other in alternatives}))
-        return f"{missing}: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
-    return f"{missing}: {titles}; {closed} ({left})."
+        return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
+    return f"Missing: {titles}; {closed} ({left})."
 
 
 def _called(other: Mapping[str, Any]) -> str:
@@ -99,8 +97,10 @@ def _nameless(found: Discovery) -> str:
         return found.formula.text
     if found.nameless.line is not None:
         return "a periodic disturbance"
-    share = found.nameless.follows.share if found.nameless.follows else 0.0
+    follows = found.nameless.follows
+    if follows is None or follows.p_value > Criteria().p_value:
+        return "named effects close less than half of the gap"
     return (
-        f"the errors follow the signals ({100 * share:.0f} % of their energy), but no curve of one signal in one "
-        "equation says how: a memory or a hard stop may"
+        f"the errors follow the signals ({100 * follows.share:.0f} % of their energy), but no curve of one signal in "
+        "one equation says how: a memory or a hard stop may"
     )

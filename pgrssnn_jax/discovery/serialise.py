@@ -11,10 +11,8 @@ from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.finding import (
     acts_at,
     channel_names,
-    closed_on_test,
     finding,
     fitted,
-    floor,
     when,
     within_record,
 )
@@ -89,7 +87,7 @@ def _by_gain(found: Discovery) -> list[str]:
 def _gap(found: Discovery) -> dict[str, Any]:
     test, train = found.test.models, found.train.models
     error = {name: {"train": train[name].error, "test": test[name].error} for name in test}
-    closed = closed_on_test(found, test["recalibrated"].error, test["after"].error)
+    closed = found.proved.closed_fraction
     missing = found.judgement.verdict not in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
     return {
         "metric": found.test.metric.name,
@@ -98,7 +96,7 @@ def _gap(found: Discovery) -> dict[str, Any]:
         "test_interval": {name: list(one.interval) for name, one in test.items()},
         "improvement_interval": list(found.test.improvement),
         "n_init": found.test.metric.n_init,
-        "floor": floor(found),
+        "floor": found.proved.floor,
         "closed_fraction": closed if missing else 0.0,
         "open_fraction": 1.0 - closed if missing else 0.0,
     }

@@ -74,6 +74,29 @@ class Validations(NamedTuple):
         return {"before": self.before, "recalibrated": self.recalibrated, "after": self.after}
 
 
+class Proved(NamedTuple):
+    """The estimation record uncut, and all models on it and on the test record."""
+
+    estimation: Record
+    train: Validations
+    test: Validations
+
+    @property
+    def floor(self) -> float:
+        """The white noise that the final model leaves in the estimation record, in the metric of the test record."""
+        return white_noise(self.estimation, self.train.after.y, self.test.scale)
+
+    def closed(self, error: float, better: float) -> float:
+        """Part of the recalibrated gap on the test record between two errors."""
+        gap = self.test.recalibrated.error - self.floor
+        return (error - better) / gap if gap > 0 else 0.0
+
+    @property
+    def closed_fraction(self) -> float:
+        """By the final model."""
+        return self.closed(self.test.recalibrated.error, self.test.after.error)
+
+
 def train_validations(
     problem: Problem, record: Record, guesses: Sequence[Guess], start: Float[np.ndarray, "seq x"] | None
 ) -> Validations:

@@ -4,7 +4,8 @@ no_discrepancy   the nominal physics is as good as the recalibrated one, and its
 miscalibrated    only parameters were wrong, and the errors that are left are noise
 effect_found     named effects close the gap
 ambiguous        named effects close it, but others predict as well on these data
-unknown_effect   what is missing is in no catalogue, but the errors follow the signals
+unknown_effect   what is missing is in no catalogue: a correction without a name explains more, the errors follow the
+                 signals, or named effects close less than half of the gap
 unexplained      errors stand clearly above the noise, and nothing accounts for them
 not_confirmed    effects were found on the estimation record, and the test record refutes them
 """
@@ -21,7 +22,7 @@ from pgrssnn_jax.discovery.problem import Problem
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
 
-_EXPLAINED = 0.5  # part of the gap that names must close to be more than a help where errors stay above the noise
+_EXPLAINED = 0.5  # part of the gap that names must close to be more than a help: right ones close 0.6 at least
 
 
 class Verdict(StrEnum):
@@ -91,14 +92,18 @@ def reading_convention(problem: Problem, model: Model) -> str | None:
     return name if np.all((away <= 2.0 * deviation) & (2.0 * deviation < physics.dt)) else None
 
 
-def confirmed(judgement: Judgement, improvement: tuple[float, float], relative_error: float) -> Judgement:
+def confirmed(
+    judgement: Judgement, improvement: tuple[float, float], relative_error: float, closed: float
+) -> Judgement:
     """The same after the test record: an improvement whose interval contains none, or a model that predicts no better
-    than the mean of the record (error relative to its standard deviation), is no finding; nor are
-    effects that stand for an unknown one and do harm."""
+    than the mean of the record (error relative to its standard deviation), is no finding; nor are effects that stand
+    for an unknown one and do harm. Effects that close less than half of the gap on it help, but do not explain it."""
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     worse = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0  # by effects named as a help
     if worse or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
+    if found and closed < _EXPLAINED:
+        return judgement._replace(verdict=Verdict.UNKNOWN_EFFECT)
     return judgement
 
 

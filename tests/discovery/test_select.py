@@ -162,8 +162,8 @@ def test_the_better_one_enters_whichever_has_fewer_numbers(tanks):
     assert chosen(tanks, rich=1.2 * NOISE, lean=NOISE) == LEAN
 
 
-@pytest.mark.parametrize(("error", "expected"), [(1.1, LEAN), (1.5, RICH)])
-def test_a_special_case_is_preferred_where_the_other_closes_hardly_more(tanks, error, expected):
+@pytest.mark.parametrize(("error", "expected"), [(1.01, LEAN), (1.1, RICH)])
+def test_a_special_case_is_preferred_unless_the_other_would_count_beside_it(tanks, error, expected):
     effects = tuple(e._replace(simpler=(LEAN,)) if e.name == RICH else e for e in tanks.effects)
     assert chosen(replace(tanks, effects=effects), rich=NOISE, lean=error * NOISE) == expected
 

@@ -208,12 +208,21 @@ def test_the_test_record_refutes_findings_alone(verdict):
     given = Judgement(verdict, None, {})
     refuted = verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     for improvement, relative in (((-0.01, 0.2), 0.1), ((0.1, 0.2), 1.0)):
-        assert confirmed(given, improvement, relative).verdict is (Verdict.NOT_CONFIRMED if refuted else verdict)
-    assert confirmed(given, (0.1, 0.2), 0.1) is given
+        assert confirmed(given, improvement, relative, 0.9).verdict is (Verdict.NOT_CONFIRMED if refuted else verdict)
+    assert confirmed(given, (0.1, 0.2), 0.1, 0.9) is given
+
+
+@pytest.mark.parametrize(("closed", "explained"), [(0.49, False), (0.51, True)])
+def test_names_that_close_less_than_half_of_the_gap_do_not_explain_it(closed, explained):
+    for verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS):
+        given = Judgement(verdict, None, {})
+        found = confirmed(given, (0.1, 0.2), 0.1, closed).verdict
+        assert found is (verdict if explained else Verdict.UNKNOWN_EFFECT)
+    assert confirmed(Judgement(Verdict.EFFECT_FOUND, None, {}), (-0.1, 0.2), 0.1, 0.1).verdict is Verdict.NOT_CONFIRMED
 
 
 @pytest.mark.parametrize(("improvement", "refuted"), [((-0.3, -0.1), True), ((-0.1, 0.1), False), ((0.1, 0.2), False)])
 def test_names_that_stand_for_an_unknown_effect_must_do_no_harm(improvement, refuted):
     given = Judgement(Verdict.UNKNOWN_EFFECT, None, {})
     expected = Verdict.NOT_CONFIRMED if refuted else Verdict.UNKNOWN_EFFECT
-    assert confirmed(given, improvement, 2.0).verdict is expected
+    assert confirmed(given, improvement, 2.0, 0.9).verdict is expected
