@@ -41,10 +41,11 @@ def look_beyond(
     if final.estimate.active:  # in the place of the named effects it must do better than they
         least += selection.first.rms() - selection.last.rms()
         alone = score_corrections(corrections, selection.recalibrated, criteria, least, rng)
-    line = spectral_line(final.estimate.error, how.uncut.u)
     if selection.last.rms() <= criteria.clear * selection.floor:
-        return Nameless(beside, alone, line, None)
-    return Nameless(beside, alone, line, errors_follow(corrections.problem, how.uncut, final.estimate, rng))
+        return Nameless(beside, alone, None, None)
+    problem, signals = corrections.problem, how.uncut
+    driven = errors_follow(problem, signals, final.estimate, rng)
+    return Nameless(beside, alone, spectral_line(final.estimate.error, signals.u), driven)
 
 
 def least_fall(selection: Selection, criteria: Criteria) -> float:

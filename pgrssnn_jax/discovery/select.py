@@ -58,31 +58,23 @@ class Judge(NamedTuple):
         of the base."""
         if candidate.model is None or screening.redundant(candidate.name):
             return False
-        share = self._share(screening, screening.base, candidate.model)
-        if not share and not self._most(screening, screening.base, candidate.model):
+        better, error = candidate.model.better_than(screening.base)
+        closed, left = screening.rms() - screening.rms(candidate.model), screening.rms() - self.noise
+        share = closed >= self.criteria.share * self.gap
+        least = max(self.criteria.rest * left, self.criteria.exact * self.gap)
+        if not share and not (left > 0.0 and closed >= least):
             return False
         if candidate.model.free_run is not None:
             nearer, spread = candidate.model.nearer_than(screening.base)
             if nearer <= self.criteria.certain * spread:
                 return False
         sure = not share or self.problem.effect(candidate.name).elaborate
-        better, error = candidate.model.better_than(screening.base)
         if better <= (self.criteria.certain if sure else self.criteria.standard_errors) * error:
             return False
         p_value, others = screening.p_value(candidate), screening.base.estimate.active
         if not others or not share:
             return p_value <= self.criteria.p_value
         return p_value + sum(p_values.get(name, 0.0) for name in others) <= self.criteria.further
-
-    def _share(self, screening: Screening, one: Model | None, other: Model | None) -> bool:
-        """Does the other model close its share of the gap beyond what one closes?"""
-        return screening.rms(one) - screening.rms(other) >= self.criteria.share * self.gap
-
-    def _most(self, screening: Screening, one: Model | None, other: Model | None) -> bool:
-        """Does it close most of what one leaves?"""
-        left = screening.rms(one) - self.noise
-        closed = screening.rms(one) - screening.rms(other)
-        return left > 0.0 and closed >= max(self.criteria.rest * left, self.criteria.exact * self.gap)
 
     def best(self, screening: Screening, p_values: Mapping[str, float]) -> Candidate | None:
         """Of the candidates that count the one with the best score, or a simpler one within a standard error of it.
@@ -95,12 +87,13 @@ class Judge(NamedTuple):
         return simpler[0] if simpler else best
 
     def _preferred(self, screening: Screening, one: Candidate, best: Candidate) -> bool:
-        """A special case of the best one also where that would not count beside it: what is left may be an error of the
-        model in another place, or of an integrator."""
+        """A special case of the best one also where that closes hardly more: what is left may be an error of the model
+        in another place, or of an integrator."""
         if one.name in self.problem.effect(best.name).simpler:
+            more = screening.rms(one.model) - screening.rms(best.model)
             sure = not _as_good(one, best, self.criteria.certain)
-            most = sure and self._most(screening, one.model, best.model)
-            return _as_good(one, best) or not (most or self._share(screening, one.model, best.model))
+            least = self.criteria.exact if sure else self.criteria.share
+            return _as_good(one, best) or more < least * self.gap
         if best.name in self.problem.effect(one.name).simpler:  # which may have more numbers: one for every input
             return False
         fewer = count_of_numbers(self.problem, one.guess) < count_of_numbers(self.problem, best.guess)

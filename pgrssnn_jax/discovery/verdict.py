@@ -99,7 +99,7 @@ def confirmed(
     than the mean of the record (error relative to its standard deviation), is no finding; nor are effects that stand
     for an unknown one and do harm. Effects that close less than half of the gap on it help, but do not explain it."""
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
-    worse = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0  # by effects named as a help
+    worse = _harmful(judgement, improvement)
     if worse or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
     if found and closed < _EXPLAINED:
@@ -110,10 +110,14 @@ def confirmed(
 def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
     """Effects that stand for an unknown one and do harm on the test record, where a correction in their place was found
     without them."""
-    harmful = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0
-    if not harmful or judgement.unnamed is None or judgement.unnamed[0].base.estimate.active:
-        return ()
-    return tuple(judgement.alternatives)
+    alone = judgement.unnamed is not None and not judgement.unnamed[0].base.estimate.active
+    return tuple(judgement.alternatives) if alone and _harmful(judgement, improvement) else ()
+
+
+def _harmful(judgement: Judgement, improvement: tuple[float, float]) -> bool:
+    """Do named effects that stand for an unknown one make the test record worse?"""
+    named = bool(judgement.alternatives)
+    return named and judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0
 
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:

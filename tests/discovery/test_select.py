@@ -10,7 +10,7 @@ from discovery.by_hand import LIKELY, NOISE, model, neutral, screening
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.select import Judge, _with_known, remembered, select
+from pgrssnn_jax.discovery.select import Judge, _with_fewest_effects, _with_known, remembered, select
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
@@ -70,12 +70,12 @@ def test_a_pair_of_which_neither_does_best_alone_is_found(problem):
     assert found(problem, {"": 400.0, "A": 3.0, "B": 4.0, "B C": 1.0}) == "B C"
 
 
-def test_one_effect_is_taken_in_the_place_of_two_that_predict_no_better(problem):
+@pytest.mark.parametrize(("energy", "names"), [(1.0, (C,)), (1.2, (A, B))])
+def test_one_effect_is_taken_in_the_place_of_two_that_predict_no_better(problem, energy, names):
     """A linear leak and an offset have the place of a power law, because the leak alone comes near to it."""
-    effects = tuple(e._replace(simpler=(A,)) if e.name == C else e for e in problem.effects)
-    preferred = replace(problem, effects=effects)
-    assert found(preferred, {"": 400.0, "A": 1.4, "A B": 1.0, "C": 1.0}) == "C"
-    assert found(preferred, {"": 400.0, "A": 1.4, "A B": 1.0, "C": 1.2}) == "A B"
+    first = screening(model(problem, 400.0), {A: model(problem, 1.4, (A,)), C: model(problem, energy, (C,))})
+    judge = Judge(problem, Criteria(), gap=19.0, noise=1.0)
+    assert _with_fewest_effects(judge, first, model(problem, 1.0, (A, B))).estimate.active == names
 
 
 def test_an_effect_that_brings_little_is_not_taken(problem):
@@ -163,7 +163,7 @@ def test_the_better_one_enters_whichever_has_fewer_numbers(tanks):
 
 
 @pytest.mark.parametrize(("error", "expected"), [(1.01, LEAN), (1.1, RICH)])
-def test_a_special_case_is_preferred_unless_the_other_would_count_beside_it(tanks, error, expected):
+def test_a_special_case_is_preferred_where_the_other_closes_hardly_more(tanks, error, expected):
     effects = tuple(e._replace(simpler=(LEAN,)) if e.name == RICH else e for e in tanks.effects)
     assert chosen(replace(tanks, effects=effects), rich=NOISE, lean=error * NOISE) == expected
 

@@ -223,6 +223,8 @@ def test_names_that_close_less_than_half_of_the_gap_do_not_explain_it(closed, ex
 
 @pytest.mark.parametrize(("improvement", "refuted"), [((-0.3, -0.1), True), ((-0.1, 0.1), False), ((0.1, 0.2), False)])
 def test_names_that_stand_for_an_unknown_effect_must_do_no_harm(improvement, refuted):
-    given = Judgement(Verdict.UNKNOWN_EFFECT, None, {})
+    given = Judgement(Verdict.UNKNOWN_EFFECT, None, {NAME: ()})
     expected = Verdict.NOT_CONFIRMED if refuted else Verdict.UNKNOWN_EFFECT
     assert confirmed(given, improvement, 2.0, 0.9).verdict is expected
+    nobody = given._replace(alternatives={})
+    assert confirmed(nobody, improvement, 2.0, 0.0) is nobody, "the recalibrated physics may do harm"
