@@ -111,7 +111,8 @@ def discover_in(
             judged = _judged(named, corrected, chosen)
         notify("proving: intervals, and the test record")
         numbers, proved = _proved(named, setup, seconds)
-        refuted = stand_ins_refuted(judged.judgement, proved.test.improvement)
+        clear = named.selection.first.rms() > chosen.criteria.clear * named.selection.floor
+        refuted = stand_ins_refuted(judged.judgement, proved.test.improvement, clear=clear)
         if refuted:
             named, judged = _without_stand_ins(named, judged)
             numbers, proved = _proved(named, setup, seconds)

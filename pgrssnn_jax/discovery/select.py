@@ -208,12 +208,17 @@ def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
 
 
 def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Sequence[Chosen]:
-    """The effect that does best alone may be none of two that only do well together."""
-    left = first.rms(model) > criteria.above * first.noise**0.5
-    possible = [c for c in first.candidates if c.model and first.p_value(c) <= criteria.further]
-    names = model.estimate.active
-    others = [Chosen(c.model, {c.name: first.p_value(c)}) for c in possible if c.model and c.name not in names]
-    return others[: criteria.beam] if left else []
+    """The effect that does best alone may be none of two that only do well together. Where none is certain alone, and
+    errors stay clearly above the noise, one of two may be certain beside the other: without it, what the other leaves
+    looks like noise with a memory."""
+    names, ratio = model.estimate.active, first.rms(model) / max(first.noise**0.5, 1e-300)
+    if ratio <= (criteria.above if names else criteria.clear):
+        return []
+    others = [c for c in first.candidates if c.name not in names]
+    if not names:
+        return [Chosen(c.model, {c.name: 0.0}) for c in others if c.model][: criteria.beam]  # judged beside the other
+    possible = [(c, first.p_value(c)) for c in others]
+    return [Chosen(c.model, {c.name: p}) for c, p in possible if c.model and p <= criteria.further][: criteria.beam]
 
 
 def _with_fewest_effects(judge: Judge, first: Screening, model: Model) -> Model:

@@ -57,7 +57,8 @@ def judge(
     unnamed = _unnamed(selection, nameless, criteria)
     active = [name for name in selection.final.estimate.active if name != convention]
     alternatives = {name: _alternatives(problem, selection.screenings[name], name, criteria) for name in active}
-    if unnamed is not None or nameless.line is not None or _dependent(selection, nameless, criteria):
+    unknown = unnamed is not None or nameless.line is not None
+    if unknown or (not active and _dependent(nameless, criteria)):
         verdict = Verdict.UNKNOWN_EFFECT
     elif active:
         verdict = Verdict.AMBIGUOUS if any(alternatives.values()) else Verdict.EFFECT_FOUND
@@ -107,11 +108,11 @@ def confirmed(
     return judgement
 
 
-def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
+def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float], *, clear: bool) -> tuple[str, ...]:
     """Effects that stand for an unknown one and do harm on the test record, where a correction in their place was found
-    without them."""
+    without them. clear: are the errors of the recalibrated physics clearly above the noise? Else chance found both."""
     alone = judgement.unnamed is not None and not judgement.unnamed[0].base.estimate.active
-    return tuple(judgement.alternatives) if alone and _harmful(judgement, improvement) else ()
+    return tuple(judgement.alternatives) if clear and alone and _harmful(judgement, improvement) else ()
 
 
 def _harmful(judgement: Judgement, improvement: tuple[float, float]) -> bool:
@@ -143,14 +144,10 @@ def _compared(one: Model, other: Model) -> tuple[float, float]:
     return one.better_than(other) if one.free_run is None else one.nearer_than(other)
 
 
-def _dependent(selection: Selection, nameless: Nameless, criteria: Criteria) -> bool:
-    """Errors clearly above the noise that names hardly lower, and that follow the signals by some law."""
+def _dependent(nameless: Nameless, criteria: Criteria) -> bool:
+    """Do the errors follow the signals by some law?"""
     follows = nameless.follows
-    if follows is None or follows.share < criteria.follows or follows.p_value > criteria.p_value:
-        return False
-    closed = selection.first.rms() - selection.last.rms()
-    gap = selection.first.rms() - selection.floor
-    return not (selection.final.estimate.active and closed >= _EXPLAINED * gap)
+    return follows is not None and follows.share >= criteria.follows and follows.p_value <= criteria.p_value
 
 
 def _alternatives(problem: Problem, screening: Screening, name: str, criteria: Criteria) -> tuple[Candidate, ...]:

@@ -70,6 +70,15 @@ def test_a_pair_of_which_neither_does_best_alone_is_found(problem):
     assert found(problem, {"": 400.0, "A": 3.0, "B": 4.0, "B C": 1.0}) == "B C"
 
 
+def test_a_pair_of_which_neither_is_certain_alone_is_found_where_each_is_beside_the_other(problem):
+    """What one of them leaves looks like noise with a memory, until the other is there."""
+    alone = {"A beside": 0.3, "B beside": 0.4, "C beside": 0.9}
+    assert found(problem, {"": 400.0, "A": 100.0, "B": 200.0, "A B": 1.0}, alone) == "A B"
+    assert found(problem, {"": 400.0, "A": 100.0, "B": 200.0, "A B": 1.0}, alone | {"B beside A": 0.1}) == ""
+    assert found(problem, {"": 400.0, "A": 100.0, "B": 200.0, "A B": 1.0}, alone | {"A beside B": 0.1}) == ""
+    assert found(problem, {"": 3.9, "A": 2.0, "B": 2.0, "A B": 1.0}, alone) == "", "errors below twice the noise"
+
+
 @pytest.mark.parametrize(("energy", "names"), [(1.0, (C,)), (1.2, (A, B))])
 def test_one_effect_is_taken_in_the_place_of_two_that_predict_no_better(problem, energy, names):
     """A linear leak and an offset have the place of a power law, because the leak alone comes near to it."""

@@ -160,15 +160,20 @@ def test_in_the_place_of_names_a_correction_has_their_p_value_to_spend(problem, 
 
 
 @pytest.mark.parametrize(
-    ("instead", "improvement", "expected"),
-    [(4.0, (-0.3, -0.1), (NAME,)), (4.0, (-0.3, 0.1), ()), (None, (-0.3, -0.1), ())],
+    ("instead", "improvement", "clear", "expected"),
+    [
+        (4.0, (-0.3, -0.1), True, (NAME,)),
+        (4.0, (-0.3, 0.1), True, ()),
+        (4.0, (-0.3, -0.1), False, ()),
+        (None, (-0.3, -0.1), True, ()),
+    ],
 )
 def test_stand_ins_that_do_harm_leave_where_a_correction_in_their_place_is_known(
-    problem, instead, improvement, expected
+    problem, instead, improvement, clear, expected
 ):
     found = judged(problem, 400.0, 9.0, instead=instead, beside=None if instead else 4.0)
     assert found.verdict is Verdict.UNKNOWN_EFFECT
-    assert stand_ins_refuted(found, improvement) == expected
+    assert stand_ins_refuted(found, improvement, clear=clear) == expected
 
 
 def test_a_spectral_line_is_unknown(problem):
@@ -181,11 +186,10 @@ def test_a_spectral_line_is_unknown(problem):
         (None, Follows(0.6, 0.005), Verdict.UNKNOWN_EFFECT),
         (None, Follows(0.6, 0.05), Verdict.UNEXPLAINED),  # noise of the same colour seems to as well
         (None, Follows(0.05, 0.005), Verdict.UNEXPLAINED),  # nearly all of it is noise in the system
-        (49.0, Follows(0.6, 0.005), Verdict.UNKNOWN_EFFECT),  # names close a third of the gap
-        (9.0, Follows(0.6, 0.005), Verdict.EFFECT_FOUND),
+        (49.0, Follows(0.6, 0.005), Verdict.EFFECT_FOUND),  # the test record says whether names explain enough
     ],
 )
-def test_errors_that_follow_the_signals_are_unknown_unless_names_explain_most(problem, named, follows, expected):
+def test_errors_that_follow_the_signals_are_unknown_where_nothing_is_named(problem, named, follows, expected):
     assert judged(problem, 100.0, named, follows=follows).verdict is expected
 
 
