@@ -35,11 +35,12 @@ def look_beyond(
 ) -> Nameless:
     if how.segmented:
         return Nameless(_on_segments(corrections, how, selection, criteria), None, None, None)
-    final, least = selection.final, least_fall(selection, criteria)
+    final, active = selection.final, bool(selection.final.estimate.active)
+    least = least_fall(selection, criteria, criteria.nameless if active else criteria.share)
     beside = score_corrections(corrections, final, criteria, least, rng)
     alone = None
-    if final.estimate.active:  # in the place of the named effects it must do better than they
-        least += selection.first.rms() - selection.last.rms()
+    if active:  # in the place of the named effects it must do better than they
+        least = selection.first.rms() - selection.last.rms() + least_fall(selection, criteria, criteria.share)
         alone = score_corrections(corrections, selection.recalibrated, criteria, least, rng)
     if selection.last.rms() <= criteria.clear * selection.floor:
         return Nameless(beside, alone, None, None)
@@ -48,14 +49,14 @@ def look_beyond(
     return Nameless(beside, alone, spectral_line(final.estimate.error, signals.u), driven)
 
 
-def least_fall(selection: Selection, criteria: Criteria) -> float:
+def least_fall(selection: Selection, criteria: Criteria, share: float) -> float:
     """Fall of the weighted RMS error below that of the names, by which a correction shows that they miss something: a
     share of the gap or, where errors stay clearly above the noise, most of the rest, as for an effect."""
     gap, left = (max(one.rms() - selection.floor, 0.0) for one in (selection.first, selection.last))
     segmented = selection.final.free_run is not None  # whose free run over sequences has errors of its own scale
     if segmented or selection.last.rms() <= criteria.clear * selection.floor:
-        return criteria.share * gap
-    return max(min(criteria.share * gap, criteria.rest * left), criteria.exact * gap)
+        return share * gap
+    return max(min(share * gap, criteria.rest * left), criteria.exact * gap)
 
 
 def _on_segments(corrections: Corrections, how: Scoring, selection: Selection, criteria: Criteria) -> Screening:

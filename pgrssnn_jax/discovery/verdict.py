@@ -123,17 +123,20 @@ def _harmful(judgement: Judgement, improvement: tuple[float, float]) -> bool:
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:
     """A correction without a name that beats the null and certainly predicts better than the named effects, in their
-    place or beside them, by what an effect would have to close. In the place of names, which have beaten the null, it
-    is a further look and has the p-value of a further effect."""
-    wanted = [(nameless.alone, selection.final, criteria.further)] if nameless.alone else []
-    wanted.append((nameless.beside, nameless.beside.base, criteria.p_value))
-    for screening, rival, p_value in wanted:
+    place or beside them, by a good part of the gap or of what they leave. In the place of names, which have beaten the
+    null, it is a further look and has the p-value of a further effect."""
+    final = selection.final
+    segmented = final.free_run is not None  # the names of an arm act on all joints, a correction on one
+    beside = criteria.nameless if final.estimate.active and not segmented else criteria.share
+    wanted = [(nameless.alone, final, criteria.share, criteria.further)] if nameless.alone else []
+    wanted.append((nameless.beside, nameless.beside.base, beside, criteria.p_value))
+    for screening, rival, share, p_value in wanted:
         for one in screening.candidates:
             if one.model is None or screening.p_value(one) > p_value:
                 continue
             closed = selection.last.rms() - screening.rms(one.model)
             better, error = _compared(one.model, rival)
-            if closed >= least_fall(selection, criteria) and better > criteria.certain * error:
+            if closed >= least_fall(selection, criteria, share) and better > criteria.certain * error:
                 return screening, one
     return None
 

@@ -129,9 +129,9 @@ def test_what_names_leave_may_be_too_little_to_ask(problem):
 
 
 @pytest.mark.parametrize(
-    ("corrected", "expected"), [(185.0, Verdict.UNKNOWN_EFFECT), (186.0, Verdict.EFFECT_FOUND)]
-)  # a share of 0.02 of the gap of 19 is wanted: from an rms error of 14 to 13.62
-def test_beside_names_a_correction_must_close_what_an_effect_would(problem, corrected, expected):
+    ("corrected", "expected"), [(2.0, Verdict.UNKNOWN_EFFECT), (144.0, Verdict.EFFECT_FOUND)]
+)  # a quarter of the gap of 19 is wanted: from an rms error of 14 to 9.25
+def test_beside_names_a_correction_must_close_a_good_part_of_the_gap(problem, corrected, expected):
     assert judged(problem, 400.0, 196.0, beside=corrected).verdict is expected
 
 
