@@ -32,6 +32,7 @@ from pgrssnn_jax.discovery.verdict import (
     Judgement,
     confirmed,
     judge,
+    mostly_open,
     reading_convention,
     stand_ins_refuted,
     with_channels,
@@ -117,13 +118,14 @@ def discover_in(
             named, judged = _without_stand_ins(named, judged)
             numbers, proved = _proved(named, setup, seconds)
     told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
+    rest = mostly_open(named.selection, proved.closed_fraction, chosen.criteria)
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,
         estimation=proved.estimation,
         selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),
         nameless=judged.nameless,
-        judgement=confirmed(told, proved.test.improvement, proved.test.relative, proved.closed_fraction),
+        judgement=confirmed(told, proved.test.improvement, proved.test.relative, mostly_open=rest),
         formula=judged.formula,
         location=location,
         convention=judged.convention,

@@ -8,7 +8,6 @@ import numpy as np
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.noise import longest_memory
-from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.verdict import Verdict
 
 
@@ -52,13 +51,13 @@ def _verdict(
     if verdict is Verdict.MISCALIBRATED:
         return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
     titles = " and ".join(map(_title, effects))
+    helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
+    if found.refuted:
+        helped = f"; refuted by the test record, and left out: {', '.join(found.refuted)}"
     if verdict is Verdict.UNKNOWN_EFFECT:
-        helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
-        if found.refuted:
-            helped = f"; refuted by the test record, and left out: {', '.join(found.refuted)}"
         return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}{helped}."
     if verdict is Verdict.UNEXPLAINED:
-        return f"{_unexplained(found)}; {errors}."
+        return f"{_unexplained(found)}; {errors}{helped}."
     closed, share = f"{errors}, {after:.3g}{unit} with it", 100 * min(gap["closed_fraction"], 1.0)
     if verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
@@ -97,10 +96,8 @@ def _nameless(found: Discovery) -> str:
         return found.formula.text
     if found.nameless.line is not None:
         return "a periodic disturbance"
-    follows = found.nameless.follows
-    if follows is None or follows.p_value > Criteria().p_value:
-        return "named effects close less than half of the gap"
+    share = found.nameless.follows.share if found.nameless.follows else 0.0
     return (
-        f"the errors follow the signals ({100 * follows.share:.0f} % of their energy), but no curve of one signal in "
-        "one equation says how: a memory or a hard stop may"
+        f"the errors follow the signals ({100 * share:.0f} % of their energy), but no curve of one signal in one "
+        "equation says how: a memory or a hard stop may"
     )

@@ -4,9 +4,8 @@ no_discrepancy   the nominal physics is as good as the recalibrated one, and its
 miscalibrated    only parameters were wrong, and the errors that are left are noise
 effect_found     named effects close the gap
 ambiguous        named effects close it, but others predict as well on these data
-unknown_effect   what is missing is in no catalogue: a correction without a name explains more, the errors follow the
-                 signals, or named effects close less than half of the gap
-unexplained      errors stand clearly above the noise, and nothing accounts for them
+unknown_effect   what is missing is in no catalogue, but the errors follow the signals
+unexplained      errors stand clearly above the noise, and nothing accounts for most of them
 not_confirmed    effects were found on the estimation record, and the test record refutes them
 """
 
@@ -94,18 +93,23 @@ def reading_convention(problem: Problem, model: Model) -> str | None:
 
 
 def confirmed(
-    judgement: Judgement, improvement: tuple[float, float], relative_error: float, closed: float
+    judgement: Judgement, improvement: tuple[float, float], relative_error: float, *, mostly_open: bool = False
 ) -> Judgement:
     """The same after the test record: an improvement whose interval contains none, or a model that predicts no better
     than the mean of the record (error relative to its standard deviation), is no finding; nor are effects that stand
-    for an unknown one and do harm. Effects that close less than half of the gap on it help, but do not explain it."""
+    for an unknown one and do harm. Effects help, but do not explain errors most of which stay."""
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     worse = _harmful(judgement, improvement)
     if worse or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
-    if found and closed < _EXPLAINED:
-        return judgement._replace(verdict=Verdict.UNKNOWN_EFFECT)
+    if found and mostly_open:
+        return judgement._replace(verdict=Verdict.UNEXPLAINED)
     return judgement
+
+
+def mostly_open(selection: Selection, closed: float, criteria: Criteria) -> bool:
+    """Are errors left that are clearly above the noise, and most of the gap on the test record? closed: part of it."""
+    return closed < _EXPLAINED and selection.last.rms() > criteria.clear * selection.floor
 
 
 def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float], *, clear: bool) -> tuple[str, ...]:

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from types import SimpleNamespace
 
+import numpy as np
+
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.sentence import sentence
 from pgrssnn_jax.discovery.verdict import Verdict
@@ -17,8 +19,13 @@ OFFSET = {
 
 
 def said(closed: float, at: list[str], verdict: Verdict = Verdict.EFFECT_FOUND, others: Sequence = ()) -> str:
-    none = SimpleNamespace(line=None, follows=None)
-    told = {"judgement": SimpleNamespace(verdict=verdict), "nameless": none}  # of the rest it says nothing here
+    error = np.random.default_rng(0).standard_normal((1, 200, 1))
+    selection = SimpleNamespace(
+        last=SimpleNamespace(rms=lambda: 3.0),
+        floor=1.0,
+        final=SimpleNamespace(estimate=SimpleNamespace(error=error)),
+    )
+    told = {"judgement": SimpleNamespace(verdict=verdict), "selection": selection}  # of the rest it says nothing here
     found = Discovery._make(told.get(name) for name in Discovery._fields)
     errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
     gap = {**errors, "metric": "RMSE", "unit": "K", "floor": 0.1, "closed_fraction": closed}
@@ -32,8 +39,8 @@ def test_it_says_how_much_of_the_gap_is_closed():
 
 
 def test_names_that_close_little_help_but_do_not_explain():
-    told = said(0.2, ["heat1"], Verdict.UNKNOWN_EFFECT)
-    assert told.startswith("Something is missing that no effect of the catalogue explains: named effects close less")
+    told = said(0.2, ["heat1"], Verdict.UNEXPLAINED)
+    assert told.startswith("Errors stand 3.0 times above the white noise and nothing accounts for them: ")
     assert "with input offset (heat1), which helps but does not explain it" in told
 
 

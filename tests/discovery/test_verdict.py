@@ -13,7 +13,15 @@ from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.spectrum import Line
-from pgrssnn_jax.discovery.verdict import Judgement, Verdict, confirmed, judge, stand_ins_refuted, with_channels
+from pgrssnn_jax.discovery.verdict import (
+    Judgement,
+    Verdict,
+    confirmed,
+    judge,
+    mostly_open,
+    stand_ins_refuted,
+    with_channels,
+)
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -212,23 +220,32 @@ def test_the_test_record_refutes_findings_alone(verdict):
     given = Judgement(verdict, None, {})
     refuted = verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     for improvement, relative in (((-0.01, 0.2), 0.1), ((0.1, 0.2), 1.0)):
-        assert confirmed(given, improvement, relative, 0.9).verdict is (Verdict.NOT_CONFIRMED if refuted else verdict)
-    assert confirmed(given, (0.1, 0.2), 0.1, 0.9) is given
+        assert confirmed(given, improvement, relative).verdict is (Verdict.NOT_CONFIRMED if refuted else verdict)
+    assert confirmed(given, (0.1, 0.2), 0.1) is given
 
 
-@pytest.mark.parametrize(("closed", "explained"), [(0.49, False), (0.51, True)])
-def test_names_that_close_less_than_half_of_the_gap_do_not_explain_it(closed, explained):
-    for verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS):
-        given = Judgement(verdict, None, {})
-        found = confirmed(given, (0.1, 0.2), 0.1, closed).verdict
-        assert found is (verdict if explained else Verdict.UNKNOWN_EFFECT)
-    assert confirmed(Judgement(Verdict.EFFECT_FOUND, None, {}), (-0.1, 0.2), 0.1, 0.1).verdict is Verdict.NOT_CONFIRMED
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_names_that_leave_most_of_large_errors_do_not_explain_them(verdict):
+    given = Judgement(verdict, None, {})
+    found = verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
+    assert confirmed(given, (0.1, 0.2), 0.1, mostly_open=True).verdict is (Verdict.UNEXPLAINED if found else verdict)
+    refuted = confirmed(given, (-0.1, 0.2), 0.1, mostly_open=True).verdict
+    assert refuted is (Verdict.NOT_CONFIRMED if found else verdict)
+
+
+@pytest.mark.parametrize(("energy", "closed", "expected"), [(4.1, 0.49, True), (4.1, 0.51, False), (3.9, 0.49, False)])
+def test_most_is_open_where_errors_are_clearly_above_the_noise_and_half_of_the_gap_is_left(
+    problem, energy, closed, expected
+):
+    last = screening(model(problem, energy, (NAME,)), {})
+    selection = Selection(model(problem, 9.0), last.base, {}, screening(model(problem, 9.0), {}), last, 1.0)
+    assert mostly_open(selection, closed, Criteria()) == expected
 
 
 @pytest.mark.parametrize(("improvement", "refuted"), [((-0.3, -0.1), True), ((-0.1, 0.1), False), ((0.1, 0.2), False)])
 def test_names_that_stand_for_an_unknown_effect_must_do_no_harm(improvement, refuted):
     given = Judgement(Verdict.UNKNOWN_EFFECT, None, {NAME: ()})
     expected = Verdict.NOT_CONFIRMED if refuted else Verdict.UNKNOWN_EFFECT
-    assert confirmed(given, improvement, 2.0, 0.9).verdict is expected
+    assert confirmed(given, improvement, 2.0).verdict is expected
     nobody = given._replace(alternatives={})
-    assert confirmed(nobody, improvement, 2.0, 0.0) is nobody, "the recalibrated physics may do harm"
+    assert confirmed(nobody, improvement, 2.0) is nobody, "the recalibrated physics may do harm"
