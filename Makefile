@@ -90,6 +90,5 @@ audit: install
 	$(BIN)/pip-audit --requirement requirements.lock --require-hashes --disable-pip
 
 lock: install
-	$(PIP) pip-tools
-	$(BIN)/pip-compile --quiet --generate-hashes --extra test --extra notebooks --extra check --extra docs --extra install \
-	  --strip-extras --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --output-file requirements.lock pyproject.toml
+	$(BIN)/uv pip compile --quiet --python-version 3.11.0 --generate-hashes --no-emit-index-url --no-emit-find-links \
+	  --extra test --extra notebooks --extra check --extra docs --extra install --output-file requirements.lock pyproject.toml
