@@ -83,10 +83,10 @@ def _unexplained(found: Discovery) -> str:
     selection = found.selection
     ratio = selection.last.rms() / selection.floor if selection.floor > 0 else math.inf
     error = selection.final.estimate.error
-    memory = longest_memory(error)
+    memory, of = longest_memory(error), "most of " if selection.final.estimate.active else ""
     return (
-        f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for them: noise with a memory of "
-        f"{memory:.0f} samples, or an unmeasured disturbance"
+        f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for {of}them: noise with a memory "
+        f"of {memory:.0f} samples, or an unmeasured disturbance"
     )
 
 

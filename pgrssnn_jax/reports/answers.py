@@ -24,6 +24,8 @@ def answers(discovery: Discovery) -> dict[str, list[str]]:
 
 def _missing(discovery: Discovery) -> Iterator[str]:
     effects = discovery.get("effects") or ()
+    if facts.stand_ins(discovery):
+        yield f"{facts.heading(discovery)}. What helps:"
     for effect in effects:
         numbers = facts.quantities(effect)
         told = [f"{one.name} = {one.words}" for one in numbers[: 4 if len(effects) <= _FEW else 2]]

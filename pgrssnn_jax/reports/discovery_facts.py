@@ -113,8 +113,8 @@ def heading(discovery: Discovery) -> str:
 
 
 def stand_ins(discovery: Discovery) -> bool:
-    """Are there named effects beside something that has no name?"""
-    return discovery["verdict"] == "unknown_effect" and bool(discovery.get("effects"))
+    """Are there named effects that help, beside something that they do not explain?"""
+    return discovery["verdict"] in ("unknown_effect", "unexplained") and bool(discovery.get("effects"))
 
 
 def as_metrics(discovery: Discovery) -> Metrics:

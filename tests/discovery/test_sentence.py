@@ -23,7 +23,7 @@ def said(closed: float, at: list[str], verdict: Verdict = Verdict.EFFECT_FOUND, 
     selection = SimpleNamespace(
         last=SimpleNamespace(rms=lambda: 3.0),
         floor=1.0,
-        final=SimpleNamespace(estimate=SimpleNamespace(error=error)),
+        final=SimpleNamespace(estimate=SimpleNamespace(error=error, active=("input_offset",))),
     )
     told = {"judgement": SimpleNamespace(verdict=verdict), "selection": selection}  # of the rest it says nothing here
     found = Discovery._make(told.get(name) for name in Discovery._fields)
@@ -40,7 +40,7 @@ def test_it_says_how_much_of_the_gap_is_closed():
 
 def test_names_that_close_little_help_but_do_not_explain():
     told = said(0.2, ["heat1"], Verdict.UNEXPLAINED)
-    assert told.startswith("Errors stand 3.0 times above the white noise and nothing accounts for them: ")
+    assert told.startswith("Errors stand 3.0 times above the white noise and nothing accounts for most of them: ")
     assert "with input offset (heat1), which helps but does not explain it" in told
 
 

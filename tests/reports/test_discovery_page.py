@@ -188,9 +188,12 @@ def test_numbers_of_the_physics_at_their_bounds_are_listed():
     assert "At their bounds" not in Reader(page({**TANK[0], "parameters": {}})).text
 
 
-def test_named_effects_beside_something_without_a_name_are_called_stand_ins():
+@pytest.mark.parametrize("verdict", ["unknown_effect", "unexplained"])
+def test_named_effects_beside_what_they_do_not_explain_are_called_stand_ins(verdict):
     assert facts.STAND_INS not in Reader(page(TANK[0])).text
-    found = {**TANK[0], "verdict": "unknown_effect"}
+    assert "What helps:" not in Reader(page(TANK[0])).text
+    found = {**TANK[0], "verdict": verdict}
+    assert f"{facts.VERDICTS[verdict]}. What helps:" in Reader(page(found)).text
     for text in (printed(found, width=200), Reader(page(found)).text):
         assert facts.STAND_INS in text
 
