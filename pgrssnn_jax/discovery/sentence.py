@@ -8,7 +8,7 @@ import numpy as np
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.noise import longest_memory
-from pgrssnn_jax.discovery.verdict import Verdict
+from pgrssnn_jax.discovery.verdict import EXPLAINED, Verdict
 
 
 def sentence(
@@ -62,10 +62,11 @@ def _verdict(
     if verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
     left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"
+    missing = "Missing" if share >= 100 * EXPLAINED else "Missing, but most of the gap stays open"
     if verdict is Verdict.AMBIGUOUS:
         others = ", ".join(sorted({_called(other) for other in alternatives}))
-        return f"Missing: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
-    return f"Missing: {titles}; {closed} ({left})."
+        return f"{missing}: {titles}, or, which these data cannot tell apart, {others}; {closed} ({left})."
+    return f"{missing}: {titles}; {closed} ({left})."
 
 
 def _called(other: Mapping[str, Any]) -> str:

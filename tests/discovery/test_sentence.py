@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.sentence import sentence
@@ -32,10 +33,10 @@ def said(closed: float, at: list[str], verdict: Verdict = Verdict.EFFECT_FOUND, 
     return sentence(found, gap, [OFFSET | {"acts_at": at}], others, [], "everywhere alike")
 
 
-def test_it_says_how_much_of_the_gap_is_closed():
-    told = said(0.9, ["heat1"])
-    assert told.startswith("Missing: input offset (heat1); ")
-    assert "90 % of the gap above the noise closed, 10 % open" in told
+@pytest.mark.parametrize(("closed", "begins"), [(0.9, "Missing: "), (0.2, "Missing, but most of the gap stays open: ")])
+def test_it_begins_with_what_stays_open_where_that_is_most(closed, begins):
+    assert said(closed, ["heat1"]).startswith(f"{begins}input offset (heat1); ")
+    assert f"{100 * closed:.0f} % of the gap above the noise closed" in said(closed, ["heat1"])
 
 
 def test_names_that_close_little_help_but_do_not_explain():
