@@ -15,6 +15,8 @@ from pgrssnn_jax.discovery.linearise import added, linearisation, runs, visible
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import LEAST_GAIN, Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
+from pgrssnn_jax.discovery.process_noise import plant_along
+from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise, linearised
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.base import SignalRange
 
@@ -139,6 +141,8 @@ def score_candidates(
     found += [c for c in few if c.name not in {other.name for other in found}]
     models = [*(model for model, _ in fitted), *(c.model for c in known if c.model)]
     noise = white_noise(signals, [base, *models])
+    fits = [Fitted(c.name, c.gain, partial(linearised, problem, signals, c.guess, settings)) for c in found if c.model]
+    null = against_process_noise(null, at, named, fits, partial(plant_along, problem, signals, here), criteria, rng)
     return Screening(base, ranked(found), null, visible(at, named), signals.size, noise)
 
 
@@ -219,12 +223,11 @@ def _null(
     fit leaves: errors that an effect has left have a colour, which would swallow it."""
     at, named = base
     least = int(np.ceil(1.0 / criteria.p_value))
-    null = null_distribution(at, noise_of(at), named, criteria.draws, least, rng)
+    null = null_distribution(at, noise_of(at).recoloured, named, criteria.draws, least, rng)
     if best is None or null.p_value(best.name, best.gain) <= criteria.p_value:
         return null
-    (run,) = runs(problem, signals, [best.guess], settings)
-    left = noise_of(linearisation(problem, signals, best.guess, run)[0])
-    other = null_distribution(at, left, named, criteria.draws, least, rng)
+    left = noise_of(linearised(problem, signals, best.guess, settings)[0])
+    other = null_distribution(at, left.recoloured, named, criteria.draws, least, rng)
     return min(null, other, key=lambda one: one.p_value(best.name, best.gain))
 
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from pgrssnn_jax.discovery.noise import autoregression, correlation_time
+from pgrssnn_jax.discovery.noise import autoregression, correlation_time, recoloured
 
 _ROUNDS = 3  # of Cochrane and Orcutt: with one, 10 % of tests at the 5 % level reject in AR(0.9) noise
 _RIDGE = 1e-10  # of a column's energy
@@ -45,6 +45,16 @@ class Noise(NamedTuple):
     filters: Float[np.ndarray, "y lag"]
     innovations: Float[np.ndarray, "seq time y"]
 
+    def recoloured(self, draws: int, rng: np.random.Generator) -> Float[np.ndarray, "draw seq time y"]:
+        """Errors whose innovations have random signs."""
+        return recoloured(self.innovations, self.filters, draws, rng)
+
+    def likelihood(self, measured: Bool[np.ndarray, "seq time y"]) -> float:
+        """Log-likelihood of the errors."""
+        count = measured.sum((0, 1))
+        variance = np.where(measured, self.innovations**2, 0.0).sum((0, 1)) / count
+        return float(-0.5 * (count * (np.log(2.0 * np.pi * variance + _TINY) + 1.0)).sum())
+
 
 def left_out(
     at: Linearisation, fold: Int[np.ndarray, "seq time"], block: int
@@ -53,7 +63,7 @@ def left_out(
     squares, counts = np.zeros(at.error.shape), at.measured & (fold >= 0)[..., None]
     for f in range(int(fold.max(initial=0)) + 1):
         rest = at.measured & (fold != f)[..., None]
-        left = at.error - at.columns @ _step(at, np.where(rest, 1.0, 0.0))
+        left = at.error - at.columns @ step_of(at, np.where(rest, 1.0, 0.0))
         squares = np.where(counts & (fold == f)[..., None], left**2, squares)
     edges = np.arange(0, at.error.shape[1], block)
     return _sums(squares, edges), _sums(counts * 1, edges)
@@ -73,7 +83,7 @@ def noise_of(at: Linearisation) -> Noise:
     for _ in range(_ROUNDS):
         variance = np.maximum((_filtered(left, filters) ** 2).mean((0, 1)), _TINY)
         scaled = at._replace(error=_filtered(at.error, filters), columns=_filtered(at.columns, filters))
-        step = _step(scaled, at.measured / variance, at.error.var() + _TINY)
+        step = step_of(scaled, at.measured / variance, at.error.var() + _TINY)
         left = np.where(at.measured, at.error - at.columns @ step, 0.0)
         filters = colour(left)
     return Noise(filters, _filtered(left, filters))
@@ -116,7 +126,7 @@ def _jackknifed(at: Linearisation) -> Float[np.ndarray, " k"]:
     block = (place * _BLOCKS).astype(int)
     parts = [np.where(at.measured & (block != b)[..., None], 1.0, 0.0) for b in range(_BLOCKS)]
     every = np.where(at.measured, 1.0, 0.0)
-    changes = np.stack([_step(at, part) for part in parts]) - _step(at, every)
+    changes = np.stack([step_of(at, part) for part in parts]) - step_of(at, every)
     growth = np.max([_variances(at, part) for part in parts], 0) / _variances(at, every)
     found = np.sqrt((_BLOCKS - 1) / _BLOCKS * (changes**2).sum(0))
     return np.where(growth < _SAID_BY_ONE, found, 0.0)
@@ -132,7 +142,7 @@ def _variances(at: Linearisation, weight: Float[np.ndarray, "seq time y"]) -> Fl
     return np.maximum(np.diag(inverse), _TINY) / size**2
 
 
-def _step(at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: float = 1.0) -> Float[np.ndarray, " k"]:
+def step_of(at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: float = 1.0) -> Float[np.ndarray, " k"]:
     """β of weighted least squares; unit: variance that the prior's precision belongs to."""
     k = at.columns.shape[-1]
     columns, error = at.columns.reshape(-1, k), at.error.ravel()

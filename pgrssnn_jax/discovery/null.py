@@ -11,34 +11,38 @@ starts pays for every look. Sources: wild bootstrap, Wu, Annals of Statistics 14
 a catalogue, White, Econometrica 68, 2000; start at which a number means nothing, Davies, Biometrika 74, 1987.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.likelihood import Linearisation, Noise
-from pgrssnn_jax.discovery.noise import recoloured
+from pgrssnn_jax.discovery.likelihood import Linearisation
 
 _AT_ONCE = 1_000_000  # samples of noise held in memory
 _WORK = 20_000_000  # samples of noise in all: of long records fewer draws are made
 LEAST_GAIN = 0.05  # nats: fits end that near to their optimum, so less is no gain
 _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is rounding
 
+Recoloured = Callable[[int, np.random.Generator], Float[np.ndarray, "draw seq time y"]]  # so many draws of the errors
+
 
 class Null(NamedTuple):
     """Of the best effect by luck alone. law `[draw]`: least p-value of any effect, sorted; shape, scale: gamma
-    distribution of the gain of every effect, nats."""
+    distribution of the gain of every effect, nats; luck: p-values by another route, where there are any, of which the
+    larger one is believed."""
 
     law: Float[np.ndarray, " draw"]
     shape: Mapping[str, float]
     scale: Mapping[str, float]
+    luck: Mapping[str, float] = MappingProxyType({})
 
     def p_value(self, name: str, gain: float) -> float:
         """Probability that any effect is as unlikely by luck."""
         alone = scipy.stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
-        return float((1 + (self.law <= alone).sum()) / (1 + len(self.law)))
+        return max(float((1 + (self.law <= alone).sum()) / (1 + len(self.law))), self.luck.get(name, 0.0))
 
     def gains(self, name: str) -> Float[np.ndarray, " draw"]:
         """The law in the gains of one effect."""
@@ -56,13 +60,14 @@ def null_of(gains: Mapping[str, Float[np.ndarray, " draw"]]) -> Null:
 
 def null_distribution(
     at: Linearisation,
-    noise: Noise,
+    recoloured: Recoloured,
     added: Sequence[tuple[str, Float[np.ndarray, "n _"]]],
     draws: int,
     least: int,
     rng: np.random.Generator,
 ) -> Null:
-    """added: name of an effect and its columns at one start, samples in one row; least: draws that are always made."""
+    """recoloured: draws of errors by the noise alone; added: name of an effect and its columns at one start, samples in
+    one row; least: draws that are always made."""
     n, k = at.error.size, at.columns.shape[-1]
     measured = at.measured.ravel()
     prior = np.diag(np.sqrt(at.precision))
@@ -78,7 +83,7 @@ def null_distribution(
     found: dict[str, list[np.ndarray]] = {name: [] for name, _ in added}
     at_once = max(1, _AT_ONCE // n)
     for i in range(0, draws, at_once):
-        drawn = recoloured(noise.innovations, noise.filters, min(at_once, draws - i), rng)
+        drawn = recoloured(min(at_once, draws - i), rng)
         drawn = (drawn.reshape(len(drawn), n) * measured).astype(np.float32)
         drawn = drawn - (drawn @ nuisance) @ nuisance.T
         energy = np.maximum((drawn**2).sum(1), 1e-30)

@@ -56,7 +56,7 @@ def least_p_value(kind: str, seed: int, hidden: float = 0.0) -> float:
     catalogue = [("stop", stop), *((f"effect {i // 2}", slow(rng, 2)) for i in range(14))]  # two starts of each
     error = noise(kind, level, rng) + hidden * stop[:, 0]
     at = linearised(error, columns)
-    null = null_distribution(at, noise_of(at), catalogue, 199, 99, rng)
+    null = null_distribution(at, noise_of(at).recoloured, catalogue, 199, 99, rng)
     return min(null.p_value(name, gained(error, columns, added)) for name, added in catalogue)
 
 
@@ -82,7 +82,7 @@ def test_what_is_there_is_found():
 def drawn(added: list[tuple[str, np.ndarray]], columns: np.ndarray, precision: float = 0.0, draws: int = 2000) -> Null:
     rng = np.random.default_rng(0)
     at = linearised(rng.standard_normal(SAMPLES), columns, precision)
-    return null_distribution(at, Noise(np.array([[1.0]]), at.error), added, draws, 99, rng)
+    return null_distribution(at, Noise(np.array([[1.0]]), at.error).recoloured, added, draws, 99, rng)
 
 
 def test_by_luck_a_number_gains_half_a_nat():
