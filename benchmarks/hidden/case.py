@@ -44,6 +44,12 @@ class Case(NamedTuple):
     units: tuple[float, float] = (1.0, 1.0)
 
 
+_HELD_BY = {  # of every system's family: a curve through points may be any straight line
+    "sensor_offset": ("sensor_nonlinearity",),
+    "sensor_gain": ("sensor_nonlinearity",),
+}
+
+
 class Catalogue(NamedTuple):
     """What can be hidden in a system.
 
@@ -71,7 +77,8 @@ class Catalogue(NamedTuple):
         return tuple((name, *self.identical.get(name, ())) for name in truth)
 
     def removed_with(self, name: str) -> tuple[str, ...]:
-        return tuple(sorted({name, *self.identical.get(name, ()), *self.family.get(name, ())}))
+        own = (*self.identical.get(name, ()), *self.family.get(name, ()), *_HELD_BY.get(name, ()))
+        return tuple(sorted({name, *own}))
 
     def doubles(self) -> list[tuple[str, str]]:
         names = self.named
