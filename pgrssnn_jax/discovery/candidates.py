@@ -134,7 +134,8 @@ def score_candidates(
     few = [*known, *(Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough))]
     few.sort(key=lambda c: -c.gain)
     null = _null(problem, signals, (at, named), few[0] if few else None, settings, criteria, rng)
-    hopeful = any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
+    clear = base.estimate.cost > criteria.clear**2 * noise_floor(base.estimate.error, signals.weight)
+    hopeful = clear or any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
     fitted = _fitted(problem, signals, _finalists(rough, criteria.finalists), settings, criteria) if hopeful else []
     found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]
     found = [c for c in found if problem.credible(c.name, c.guess.theta, span)]

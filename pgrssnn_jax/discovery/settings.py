@@ -39,7 +39,7 @@ class Criteria(NamedTuple):
     alike: float = 1.0  # log-likelihood by which two effects are no less likely: a ratio of e is no evidence (Jeffreys)
     most: int = 4  # effects
     finalists: int = 12  # effects of a screening that are compared after more steps
-    hopeless: float = 0.2  # p-value after a few steps of a fit: if all are above, none is
+    hopeless: float = 0.2  # p-value after a few steps of a fit: if all are above and errors not clear, none is
     draws: int = 1000  # of the null
     block: int = 32  # samples that count as one in standard errors
     beam: int = 2  # other first effects that are tried where errors stay above the noise by the factor `above`
