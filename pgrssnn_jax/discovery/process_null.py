@@ -21,7 +21,7 @@ from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.null import Null, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.process_noise import Plant, ProcessNoise, process_noise
+from pgrssnn_jax.discovery.process_noise import Plant, ProcessNoise, disturbances, process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 
 Added = Sequence[tuple[str, Float[np.ndarray, "n _"]]]  # name of an effect, and its columns at one start
@@ -53,14 +53,15 @@ def against_process_noise(
 ) -> Null:
     """null: of coloured noise, kept where that is likelier or where nothing counts under it; at, plant: of the base."""
     doubtful = [one for one in candidates if null.p_value(one.name, one.gain) <= criteria.further]
-    disturbed = process_noise(plant(), at) if doubtful else None
-    if disturbed is None or disturbed.likelihood <= noise_of(at).likelihood(at.measured):
+    tried = disturbances(plant(), at) if doubtful else None
+    disturbed = process_noise(tried, at) if tried else None
+    if tried is None or disturbed is None or disturbed.likelihood <= noise_of(at).likelihood(at.measured):
         return null
     catalogue, least = len({name for name, _ in added}), int(np.ceil(1.0 / criteria.p_value))
     luck, left = dict[str, float](), dict[str, ProcessNoise]()
     for one in doubtful:
         fitted, numbers = one.at()
-        left[one.name] = process_noise(disturbed.plant, fitted) or disturbed
+        left[one.name] = process_noise(tried.at(disturbed.place), fitted)
         likelier = left[one.name].likelihood - disturbed.likelihood
         luck[one.name] = min(1.0, catalogue * float(scipy.stats.chi2.sf(2.0 * likelier, max(1, numbers))))
 
