@@ -3,8 +3,7 @@
 
 Cases of the hidden-effect suite in which nothing is missing: the physics alone is fitted, as a discovery does for its
 final parameters, which takes a second a case. Prints, by noise and by system, the share of true parameters within the
-interval of the sandwich and within the wider one of sandwich and jackknife (`discovery/likelihood.py`), and the median
-ratio of their widths.
+interval of the sandwich and within the widest one (`discovery/intervals.py`), and the median ratio of their widths.
 """
 
 import argparse
@@ -23,20 +22,19 @@ from hidden.nominal import true_parameters
 from rich.console import Console
 from rich.table import Table
 
-from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.estimate import Settings, evaluate
 from pgrssnn_jax.discovery.identify import most_likely
-from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.intervals import deviations
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess
 
 
 class Number(NamedTuple):
-    """A true parameter: is it within the interval of the sandwich, and within the wider one; ratio of their widths."""
+    """A true parameter: is it within the interval of the sandwich, and within the widest one; ratio of their widths."""
 
     sandwich: bool
-    both: bool
+    widest: bool
     ratio: float
 
 
@@ -53,11 +51,11 @@ def main() -> None:
                 numbers = list(_numbers(problem, case))
                 for key in ("all", f"noise {noise}", f"system {system}") if numbers else ():
                     found[key] += numbers
-    table = Table("", "numbers", "sandwich", "wider one", "ratio of widths")
+    table = Table("", "numbers", "sandwich", "widest one", "ratio of widths")
     for key, numbers in sorted(found.items()):
-        sandwich, both, ratio = zip(*numbers, strict=True)
+        sandwich, widest, ratio = zip(*numbers, strict=True)
         table.add_row(
-            key, f"{len(numbers)}", *(f"{np.mean(a):.0%}" for a in (sandwich, both)), f"{np.median(ratio):.2f}"
+            key, f"{len(numbers)}", *(f"{np.mean(a):.0%}" for a in (sandwich, widest)), f"{np.median(ratio):.2f}"
         )
     console.print(table)
 
@@ -74,19 +72,14 @@ def _numbers(problem: Problem, case: Case) -> Iterator[Number]:
         noise = noise_floor(evaluate(problem, signals, begun).error, signals.weight) / signals.size
         held = problem.held(chosen.tolerance, noise)
         held, guess = most_likely(held, signals, begun, chosen.tolerance, fits)
-        (run,) = runs(held, signals, [guess], fits)
-        at, free = linearisation(held, signals, guess, run)
-    colour = likelihood.noise_of(at)
-    covariance, freedom = likelihood.covariance(at, colour, held.noise)
-    sandwich = np.sqrt(np.diag(covariance))
-    wider, _ = likelihood.deviations(at, colour, held.noise)
-    width = scipy.stats.t.ppf(0.975, freedom)
-    labels = {held.slots[place].label: k for k, place in enumerate(free)}
+        found = deviations(held, signals, guess, fits)
+    width = scipy.stats.t.ppf(0.975, found.freedom)
+    labels = {held.slots[place].label: k for k, place in enumerate(found.free)}
     for name, value in true_parameters(case).items():
         if name in labels:
             k = labels[name]
-            off = abs(value - guess.theta[free[k]]) / width
-            yield Number(off <= sandwich[k], off <= wider[k], float(wider[k] / sandwich[k]))
+            off, coloured, widest = abs(value - guess.theta[found.free[k]]) / width, found.coloured[k], found.widest[k]
+            yield Number(off <= coloured, off <= widest, float(widest / coloured))
 
 
 def _arguments() -> argparse.Namespace:

@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from jaxtyping import Float
 
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
 from pgrssnn_jax.discovery.channels import with_fewest_channels
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
+from pgrssnn_jax.discovery.intervals import deviations
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.optimism import optimism
@@ -85,7 +85,8 @@ def final_numbers(
     def settled(problem: Problem, model: Model, *, remembering: bool = True) -> tuple[Problem, Model]:
         held, guess = most_likely(problem, signals, model.estimate.guess, tolerance, settings, remembering=remembering)
         (fitted,) = fitted_models(held, signals, [guess], settings, criteria.block)
-        return held, fitted._replace(deviation=_deviation(held, signals, guess, settings))
+        found = deviations(held, signals, guess, settings)
+        return held, fitted._replace(deviation=moved(np.zeros(len(guess.theta)), found.free, found.widest))
 
     held, final = settled(problem, selection.final)
     fewest = with_fewest_channels(held, signals, final, settings, criteria)
@@ -103,16 +104,6 @@ def final_numbers(
     more = optimism(held, signals, guess, settings)
     found = replace(problem, slots=held.slots)
     return Numbers(found, recalibrated, final, fewest.elsewhere, without, departures(held, final), unseen, more)
-
-
-def _deviation(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Float[np.ndarray, " p"]:
-    """Of θ, for intervals."""
-    (run,) = runs(problem, signals, [guess], settings)
-    at, free = linearisation(problem, signals, guess, run)
-    found, _ = likelihood.deviations(at, likelihood.noise_of(at), problem.noise)
-    deviation = np.zeros(len(guess.theta))
-    deviation[free] = found[: len(free)]
-    return deviation
 
 
 def most_likely(

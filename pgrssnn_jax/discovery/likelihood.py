@@ -94,25 +94,31 @@ def covariance(at: Linearisation, noise: Noise, variance: float) -> tuple[Float[
     """Covariance of the least squares estimate, and its degrees of freedom: independent samples less numbers. variance:
     of the weighted errors that the prior's precision belongs to."""
     k = at.columns.shape[-1]
-    meat, normal, independent = np.diag(at.precision * variance), np.diag(at.precision), 0.0
+    meat, independent = np.diag(at.precision * variance), 0.0
     for j, colour in enumerate(noise.filters):
         n = int(at.measured[..., j].sum())
         columns = at.columns[..., j, :] * at.measured[..., j, None]
         g = np.asarray(scipy.signal.lfilter([1.0], colour, columns[:, ::-1], axis=1))[:, ::-1]
         own = _filtered(at.error, noise.filters)[..., j] ** 2 * n / max(n - k - len(colour) + 1, 1)
         meat = meat + np.einsum("st,stk,stl->kl", own, g, g, optimize=True)
-        normal = normal + np.einsum("stk,stl->kl", columns, columns, optimize=True)
         independent += n / correlation_time(colour)
+    return sandwich(at, meat), max(independent - k, 3.0)
+
+
+def sandwich(at: Linearisation, meat: Float[np.ndarray, "k k"]) -> Float[np.ndarray, "k k"]:
+    """H⁻¹ M H⁻¹"""
+    columns = at.columns * at.measured[..., None]
+    normal = np.einsum("styk,styl->kl", columns, columns, optimize=True) + np.diag(at.precision)
     size = np.sqrt(np.maximum(np.diag(normal), _TINY))
     inverse = np.linalg.pinv(normal / size / size[:, None], rcond=1e-10, hermitian=True) / size / size[:, None]
-    return inverse @ meat @ inverse, max(independent - k, 3.0)
+    return inverse @ meat @ inverse
 
 
 def deviations(at: Linearisation, noise: Noise, variance: float) -> tuple[Float[np.ndarray, " k"], float]:
     """Standard deviations of the estimate for 95 % intervals, and their degrees of freedom: the larger one of the
     sandwich and the jackknife."""
-    sandwich, freedom = covariance(at, noise, variance)
-    by_colour, by_blocks = np.sqrt(np.maximum(np.diag(sandwich), 0.0)), _jackknifed(at)
+    coloured, freedom = covariance(at, noise, variance)
+    by_colour, by_blocks = np.sqrt(np.maximum(np.diag(coloured), 0.0)), _jackknifed(at)
     wider = scipy.stats.t.ppf(0.975, _BLOCKS - 1) / scipy.stats.t.ppf(0.975, freedom)
     return np.maximum(by_colour, wider * by_blocks), freedom
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pgrssnn_jax.discovery.estimate import Guess
-from pgrssnn_jax.discovery.likelihood import Linearisation, step_of
+from pgrssnn_jax.discovery.likelihood import Linearisation, sandwich, step_of
 from pgrssnn_jax.discovery.noise import white_variance
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.responses import Path, path_of
@@ -76,6 +76,14 @@ class ProcessNoise(NamedTuple):
         signs = rng.integers(0, 2, (draws, *self.innovations.shape[:2], 1)) * 2.0 - 1.0
         drawn = np.moveaxis(signs * self.innovations, 0, -1)
         return np.moveaxis(_through(self.plant, self.filters, drawn, whiten=False), -1, 0)
+
+    def covariance(self, at: Linearisation, variance: float) -> Float[np.ndarray, "k k"]:
+        """Of the least squares estimate; variance: of the weighted errors that the prior's precision belongs to."""
+        count, k = at.measured.sum(), at.columns.shape[-1]
+        squares = self.innovations**2 * count / max(count - k, 1)
+        moved = _answered(self.plant, self.filters, at.columns * at.measured[..., None])
+        meat = np.einsum("sty,styk,styl->kl", squares, moved, moved, optimize=True)
+        return sandwich(at, meat + np.diag(at.precision * variance))
 
 
 def plant_along(problem: Problem, signals: Signals, guess: Guess) -> Plant:
@@ -210,4 +218,20 @@ def _through(
             found[:, t, j] = np.where(there, innovation if whiten else now + expected, 0.0)
             x = x + gains[:, t, j, :, None] * innovation[:, None]
         x = x if plant.after else plant.a[:, t] @ x
+    return found
+
+
+def _answered(plant: Plant, chosen: Filters, columns: Float[np.ndarray, "seq time y k"]) -> np.ndarray:
+    """Lᵀ of columns, where L makes errors of innovations: what every innovation changes in their products with
+    errors."""
+    gains = chosen.gains[0]
+    x, found = np.zeros((len(plant.a), plant.a.shape[-1], columns.shape[-1])), np.zeros(columns.shape)
+    for t in reversed(range(plant.a.shape[1])):
+        back = plant.a[:, t].swapaxes(1, 2)
+        x = x if plant.after else back @ x
+        for j in reversed(range(columns.shape[2])):
+            now = columns[:, t, j]
+            found[:, t, j] = now + (gains[:, t, j, None] @ x)[:, 0]
+            x = x + plant.c[:, t, j, :, None] * now[:, None]
+        x = back @ x if plant.after else x
     return found

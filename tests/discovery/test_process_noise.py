@@ -6,7 +6,15 @@ from discovery.test_null import linearised
 from scipy import stats
 
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
-from pgrssnn_jax.discovery.process_noise import Plant, ProcessNoise, _filters, _through, disturbances, process_noise
+from pgrssnn_jax.discovery.process_noise import (
+    Plant,
+    ProcessNoise,
+    _answered,
+    _filters,
+    _through,
+    disturbances,
+    process_noise,
+)
 
 SAMPLES = 60
 RAMP = np.column_stack([np.ones(400), np.linspace(-1.0, 1.0, 400)])  # of another start
@@ -139,3 +147,25 @@ def test_a_long_record_is_judged_by_its_first_part(monkeypatch):
     part = likeliest(axis(400), at)
     assert part.innovations.shape == whole.innovations.shape
     assert part.likelihood == pytest.approx(whole.likelihood, abs=3.0)
+
+
+@pytest.mark.parametrize("after", [True, False])
+def test_what_innovations_do_to_columns_is_the_transpose_of_what_they_do_to_errors(after):
+    where, rng = plant(after, gaps()), np.random.default_rng(4)
+    chosen = _filters(where, where.entering, WHITE, SAMPLES)
+    drawn, columns = (np.where(where.measured[..., None], rng.standard_normal((1, SAMPLES, 2, 3)), 0.0) for _ in "ab")
+    errors = _through(where, chosen, drawn, whiten=False)
+    answered = np.where(where.measured[..., None], _answered(where, chosen, columns), 0.0)
+    np.testing.assert_allclose((errors * columns).sum((0, 1, 2)), (drawn * answered).sum((0, 1, 2)), rtol=1e-10)
+
+
+def test_the_sandwich_of_a_disturbance_has_the_spread_of_estimates():
+    """A slope fitted to 200 records of a disturbed axis."""
+    estimates, deviations = [], []
+    for seed in range(200):
+        error = disturbed(0.1, np.random.default_rng(seed))
+        estimates.append(np.linalg.lstsq(RAMP, error, rcond=None)[0][1])
+        if seed < 20:
+            at = linearised(error, RAMP)
+            deviations.append(likeliest(axis(400), at).covariance(at, 1.0)[1, 1] ** 0.5)
+    assert np.median(deviations) == pytest.approx(np.std(estimates), rel=0.3)
