@@ -14,7 +14,7 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.likelihood import noise_of
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.process_noise import disturbances, plant_along, process_noise
+from pgrssnn_jax.discovery.process_noise import disturbances, disturbed_along, process_noise
 
 
 class Deviations(NamedTuple):
@@ -34,7 +34,7 @@ def deviations(problem: Problem, signals: Signals, guess: Guess, settings: Setti
     noise = noise_of(at)
     coloured, _ = likelihood.covariance(at, noise, problem.noise)
     widest, freedom = likelihood.deviations(at, noise, problem.noise)
-    if (tried := disturbances(plant_along(problem, signals, guess), at)) is not None:
+    if (tried := disturbances(disturbed_along(problem, signals, guess), at)) is not None:
         found = process_noise(tried, at)
         if found.likelihood > noise.likelihood(at.measured):
             widest = np.maximum(widest, _roots(found.covariance(at, problem.noise)))

@@ -31,18 +31,17 @@ Recoloured = Callable[[int, np.random.Generator], Float[np.ndarray, "draw seq ti
 
 class Null(NamedTuple):
     """Of the best effect by luck alone. law `[draw]`: least p-value of any effect, sorted; shape, scale: gamma
-    distribution of the gain of every effect, nats; luck: p-values by another route, where there are any, of which the
-    larger one is believed."""
+    distribution of the gain of every effect, nats; known: p-values of effects by another law, which count."""
 
     law: Float[np.ndarray, " draw"]
     shape: Mapping[str, float]
     scale: Mapping[str, float]
-    luck: Mapping[str, float] = MappingProxyType({})
+    known: Mapping[str, float] = MappingProxyType({})
 
     def p_value(self, name: str, gain: float) -> float:
         """Probability that any effect is as unlikely by luck."""
         alone = scipy.stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
-        return max(float((1 + (self.law <= alone).sum()) / (1 + len(self.law))), self.luck.get(name, 0.0))
+        return self.known.get(name, float((1 + (self.law <= alone).sum()) / (1 + len(self.law))))
 
     def gains(self, name: str) -> Float[np.ndarray, " draw"]:
         """The law in the gains of one effect."""

@@ -1,45 +1,44 @@
-"""The null where a disturbance of the dynamics explains the errors better than coloured noise of the sensors does.
+"""p-values where a disturbance of the dynamics explains the errors better than coloured noise of the sensors does.
 
-Such a disturbance passes the same modes as effects do, so errors by it alone often look like an effect. A candidate
-counts beside it where its gain is no luck under the disturbance of the base, or under what its own fit leaves of it,
-provided that the errors are likelier with the candidate:
+Such a disturbance passes the same modes as effects do, so errors by it alone often look like an effect. The gain of a
+candidate is then that of the likelihood, each side with the likeliest size of the disturbance,
 
-    p = m P(χ²_k >= 2 (log L₁ - log L₀))        L₀, L₁: each with its own disturbance
+    gain = log L₁ - log L₀
 
-m effects in the catalogue, k numbers of this one. Source: Wilks, Annals of Mathematical Statistics 9, 1938; Bonferroni.
+and its distribution by luck that of innovations with random signs beside whitened columns (`null.py`):
+
+    gain* = ½ n log(‖ε*‖² / ‖ε* - Q Qᵀ ε*‖²),  ε*_t = s_t ε_t,  s_t = ±1
 """
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from pgrssnn_jax.discovery.estimate import Guess, Settings
+from pgrssnn_jax.discovery.kalman import Models
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.null import Null, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.process_noise import Plant, ProcessNoise, disturbances, process_noise
+from pgrssnn_jax.discovery.process_noise import ProcessNoise, disturbances, process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 
 Added = Sequence[tuple[str, Float[np.ndarray, "n _"]]]  # name of an effect, and its columns at one start
 
 
 class Fitted(NamedTuple):
-    """A candidate at its fit. at: its linearisation there, and how many numbers it adds."""
+    """A candidate at its fit. at: its linearisation there."""
 
     name: str
     gain: float
-    at: Callable[[], tuple[Linearisation, int]]
+    at: Callable[[], Linearisation]
 
 
-def linearised(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> tuple[Linearisation, int]:
-    """A guess, and how many free numbers the effect that came in last has."""
+def linearised(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Linearisation:
     (run,) = runs(problem, signals, [guess], settings)
-    at, free = linearisation(problem, signals, guess, run)
-    return at, int(np.isin(free, problem.of(guess.active[-1])).sum()) if guess.active else 0
+    return linearisation(problem, signals, guess, run)[0]
 
 
 def against_process_noise(
@@ -47,29 +46,33 @@ def against_process_noise(
     at: Linearisation,
     added: Added,
     candidates: Sequence[Fitted],
-    plant: Callable[[], Plant],
+    models: Callable[[], Models],
     criteria: Criteria,
     rng: np.random.Generator,
 ) -> Null:
-    """null: of coloured noise, kept where that is likelier or where nothing counts under it; at, plant: of the base."""
+    """null: of coloured noise, kept where that is likelier or nothing counts under it; at, models: of the base."""
     doubtful = [one for one in candidates if null.p_value(one.name, one.gain) <= criteria.further]
-    tried = disturbances(plant(), at) if doubtful else None
-    disturbed = process_noise(tried, at) if tried else None
-    if tried is None or disturbed is None or disturbed.likelihood <= noise_of(at).likelihood(at.measured):
+    tried = disturbances(models(), at) if doubtful else None
+    if tried is None:
         return null
-    catalogue, least = len({name for name, _ in added}), int(np.ceil(1.0 / criteria.p_value))
-    luck, left = dict[str, float](), dict[str, ProcessNoise]()
-    for one in doubtful:
-        fitted, numbers = one.at()
-        left[one.name] = process_noise(tried.at(disturbed.place), fitted)
-        likelier = left[one.name].likelihood - disturbed.likelihood
-        luck[one.name] = min(1.0, catalogue * float(scipy.stats.chi2.sf(2.0 * likelier, max(1, numbers))))
+    disturbed = process_noise(tried, at)
+    if disturbed.likelihood <= noise_of(at).likelihood(at.measured):
+        return null
+    law = _law(disturbed, at, added, criteria, rng)
+    same = tried.like(disturbed.filter)
+    gains = {one.name: process_noise(same, one.at()).likelihood - disturbed.likelihood for one in doubtful}
+    return null._replace(known={name: law.p_value(name, gain) for name, gain in gains.items()})
 
-    def beside(noise: ProcessNoise) -> Null:
-        return null_distribution(at, noise.recoloured, added, criteria.draws, least, rng)._replace(luck=luck)
 
-    base = beside(disturbed)
-    best = max((one for one in doubtful if luck[one.name] <= criteria.p_value), key=lambda one: one.gain, default=None)
-    if best is None or base.p_value(best.name, best.gain) <= criteria.p_value:
-        return base
-    return min(base, beside(left[best.name]), key=lambda one: one.p_value(best.name, best.gain))
+def _law(noise: ProcessNoise, at: Linearisation, added: Added, criteria: Criteria, rng: np.random.Generator) -> Null:
+    shape, width = at.error.shape, [columns.shape[1] for _, columns in added]
+    together = np.concatenate([at.columns, *(columns.reshape(*shape, -1) for _, columns in added)], -1)
+    own, *others = np.split(noise.whitened(together), np.cumsum([at.columns.shape[-1], *width[:-1]]), -1)
+    innovations = noise.innovations / noise.filter.variance[0] ** 0.5
+    white = Linearisation(innovations, own, at.measured, at.precision / at.error.var(), at.pull)
+    passed = [(name, one.reshape(innovations.size, -1)) for (name, _), one in zip(added, others, strict=True)]
+
+    def drawn(draws: int, rng: np.random.Generator) -> Float[np.ndarray, "draw seq time y"]:
+        return (rng.integers(0, 2, (draws, *shape[:2], 1)) * 2.0 - 1.0) * innovations
+
+    return null_distribution(white, drawn, passed, criteria.draws, int(np.ceil(1.0 / criteria.p_value)), rng)
