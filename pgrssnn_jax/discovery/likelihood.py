@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float, Int
 
-from pgrssnn_jax.discovery.noise import autoregression, correlation_time, recoloured
+from pgrssnn_jax.discovery.noise import ORDER, autoregression, correlation_time, recoloured
 
 _ROUNDS = 3  # of Cochrane and Orcutt: with one, 10 % of tests at the 5 % level reject in AR(0.9) noise
 _RIDGE = 1e-10  # of a column's energy
@@ -73,11 +73,11 @@ def _sums(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.add.reduceat(values.sum(-1), edges, axis=1).ravel()
 
 
-def noise_of(at: Linearisation) -> Noise:
+def noise_of(at: Linearisation, order: int = ORDER) -> Noise:
     """Colour and innovations, at the generalised least squares estimate of β."""
 
     def colour(left: Float[np.ndarray, "seq time y"]) -> Float[np.ndarray, "y lag"]:
-        return np.stack([autoregression(left[..., j], at.measured[..., j]) for j in range(left.shape[-1])])
+        return np.stack([autoregression(left[..., j], at.measured[..., j], order) for j in range(left.shape[-1])])
 
     left, filters = at.error, colour(at.error)
     for _ in range(_ROUNDS):
@@ -160,5 +160,9 @@ def step_of(at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: fl
 
 
 def _filtered(values: np.ndarray, filters: Float[np.ndarray, "y lag"]) -> np.ndarray:
-    """A_j(z) of values `[seq, time, y, ...]`."""
-    return np.stack([scipy.signal.lfilter(one, [1.0], values[:, :, j], axis=1) for j, one in enumerate(filters)], 2)
+    """A_j(z) of values `[seq, time, y, ...]`. By shifts, because scipy.signal.lfilter takes four times longer here."""
+    found = values.copy()
+    for lag in range(1, filters.shape[1]):
+        weight = filters[:, lag].reshape(-1, *(1,) * (values.ndim - 3))
+        found[:, lag:] += weight * values[:, :-lag]
+    return found

@@ -25,6 +25,9 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.process_noise import ProcessNoise, disturbances, process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 
+_LONG = 32  # coefficients of an autoregression that describes slow errors under white ones too, if roughly
+_CERTAIN = 20.0  # nats: no disturbance is tried then, which takes 0.1 s
+
 Added = Sequence[tuple[str, Float[np.ndarray, "n _"]]]  # name of an effect, and its columns at one start
 
 
@@ -52,7 +55,7 @@ def against_process_noise(
 ) -> Null:
     """null: of coloured noise, kept where that is likelier or nothing counts under it; at, models: of the base."""
     doubtful = [one for one in candidates if null.p_value(one.name, one.gain) <= criteria.further]
-    tried = disturbances(models(), at) if doubtful else None
+    tried = None if _beyond_doubt(doubtful, at) else disturbances(models(), at)
     if tried is None:
         return null
     disturbed = process_noise(tried, at)
@@ -62,6 +65,16 @@ def against_process_noise(
     same = tried.like(disturbed.filter)
     gains = {one.name: process_noise(same, one.at()).likelihood - disturbed.likelihood for one in doubtful}
     return null._replace(known={name: law.p_value(name, gain) for name, gain in gains.items()})
+
+
+def _beyond_doubt(doubtful: Sequence[Fitted], at: Linearisation) -> bool:
+    """Are errors far likelier with the best of them than without it in noise of almost any kind?"""
+    best = max(doubtful, key=lambda one: one.gain, default=None)
+    if best is None:
+        return True
+    fitted = best.at()
+    gain = noise_of(fitted).likelihood(fitted.measured) - noise_of(at, _LONG).likelihood(at.measured)
+    return gain > _CERTAIN
 
 
 def _law(noise: ProcessNoise, at: Linearisation, added: Added, criteria: Criteria, rng: np.random.Generator) -> Null:

@@ -5,6 +5,7 @@ import pytest
 from discovery.test_null import gained, linearised
 from discovery.test_process_noise import SAMPLES, axis, disturbed
 
+from pgrssnn_jax.discovery.kalman import Models
 from pgrssnn_jax.discovery.likelihood import noise_of
 from pgrssnn_jax.discovery.null import null_distribution
 from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise
@@ -57,3 +58,19 @@ def test_what_is_there_is_found_beside_a_disturbance():
 def test_without_a_disturbance_the_null_of_coloured_noise_stays(seed):
     coloured, found = p_values(seed, 0.0)
     assert found == coloured
+
+
+def test_what_is_far_likelier_in_noise_of_almost_any_kind_needs_no_disturbance():
+    rng = np.random.default_rng(0)
+    push = forced(np.sign(np.sin(0.05 * np.arange(SAMPLES))))[:, None]
+    columns = np.column_stack([np.ones(SAMPLES), forced(np.eye(1, SAMPLES)[0])])
+    error = disturbed(0.03, rng) + 0.5 * push[:, 0]
+    at, beside = linearised(error, columns), linearised(error, np.hstack([columns, push]))
+    null = null_distribution(at, noise_of(beside).recoloured, [("push", push)], 199, 100, rng)
+    fit = Fitted("push", gained(error, columns, push), lambda: beside)
+    assert null.p_value("push", fit.gain) <= 0.01
+
+    def unused() -> Models:
+        raise AssertionError("no disturbance is tried")
+
+    assert against_process_noise(null, at, [("push", push)], [fit], unused, CRITERIA, rng) is null
