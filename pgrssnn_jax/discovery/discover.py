@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from pgrssnn_jax.discovery.corrected import Corrected
+from pgrssnn_jax.discovery.correction_on_test import improvement_by_correction
 from pgrssnn_jax.discovery.estimate import Guess, evaluate
 from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
@@ -36,6 +37,7 @@ from pgrssnn_jax.discovery.verdict import (
     reading_convention,
     stand_ins_refuted,
     with_channels,
+    without_correction,
 )
 from pgrssnn_jax.records.record import Record
 
@@ -52,8 +54,8 @@ class Location(NamedTuple):
 
 class Discovery(NamedTuple):
     """Everything that was found out. signals and estimation: sequences of the record, uncut; convention: the effect
-    that says no more than when the data were read; refuted: effects that stood for an unknown one, left out because
-    they do harm on the test record."""
+    that says no more than when the data were read; refuted: what was left out because of the test record: effects that
+    stood for an unknown one and do harm there, a correction without a name that does not predict it better."""
 
     problem: Problem
     signals: Signals
@@ -78,9 +80,12 @@ class Discovery(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """formula: of a correction without a name; convention: an effect that is none, but a way of reading."""
+    """formula: of a correction without a name; convention: an effect that is none, but a way of reading; rms: weighted
+    error of the nominal physics."""
 
+    corrections: Corrections
     nameless: Nameless
+    rms: float
     judgement: Judgement
     formula: Formula | None
     convention: str | None
@@ -111,12 +116,7 @@ def discover_in(
         with timed(seconds, "judge"):
             judged = _judged(named, corrected, chosen)
         notify("proving: intervals, and the test record")
-        numbers, proved = _proved(named, setup, seconds)
-        clear = named.selection.first.rms() > chosen.criteria.clear * named.selection.floor
-        refuted = stand_ins_refuted(judged.judgement, proved.test.improvement, clear=clear)
-        if refuted:
-            named, judged = _without_stand_ins(named, judged)
-            numbers, proved = _proved(named, setup, seconds)
+        named, judged, numbers, proved, refuted = _tested(named, judged, setup, seconds)
     told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
     rest = mostly_open(named.selection, proved.closed_fraction, chosen.criteria)
     return Discovery(
@@ -149,7 +149,44 @@ def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Ju
     rms = (before.cost / selection.first.size) ** 0.5
     convention = reading_convention(problem, selection.final)
     judgement = judge(problem, selection, nameless, rms, chosen.criteria, convention)
-    return Judged(nameless, judgement, _told(corrections, how, selection, judgement), convention)
+    told = _told(corrections, how, selection, judgement)
+    return Judged(corrections, nameless, rms, judgement, told, convention)
+
+
+def _tested(
+    named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
+) -> tuple[Named, Judged, Numbers, Proved, tuple[str, ...]]:
+    """Final numbers and the test record, and what is left out because of it."""
+    numbers, proved = _proved(named, setup, seconds)
+    refuted = stand_ins_refuted(judged.judgement, proved.test.improvement)
+    bare = _without_stand_ins(named, judged) if refuted else (named, judged)
+    with timed(seconds, "prove"):
+        helps = _correction_helps(*bare, setup)
+    if refuted and helps:
+        return *bare, *_proved(bare[0], setup, seconds), refuted
+    if refuted or helps:
+        return named, judged, numbers, proved, ()
+    judged, refuted = _without_correction(named, judged, setup)
+    return named, judged, numbers, proved, refuted
+
+
+def _correction_helps(named: Named, judged: Judged, setup: Setup) -> bool:
+    """Does a correction without a name, if there is one, predict the test record better?"""
+    unnamed = judged.judgement.unnamed
+    if unnamed is None or named.how.segmented:
+        return True
+    one, final = unnamed[1], named.selection.final.estimate.guess
+    low, _ = improvement_by_correction(judged.corrections, one, named.nominal, final, setup)
+    return low > 0.0
+
+
+def _without_correction(named: Named, judged: Judged, setup: Setup) -> tuple[Judged, tuple[str, ...]]:
+    """The judgement without the correction, and its name."""
+    unnamed, (problem, selection) = judged.judgement.unnamed, (named.problem, named.selection)
+    assert unnamed is not None
+    rest = judged.nameless, judged.rms, setup.settings.criteria, judged.convention
+    again = without_correction(judge(problem, selection, *rest, corrected=False))
+    return judged._replace(judgement=again, formula=None), (unnamed[1].name,)
 
 
 def _without_stand_ins(named: Named, judged: Judged) -> tuple[Named, Judged]:

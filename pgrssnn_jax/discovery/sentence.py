@@ -53,12 +53,15 @@ def _verdict(
     titles = " and ".join(map(_title, effects))
     helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
     if found.refuted:
-        helped = f"; refuted by the test record, and left out: {', '.join(found.refuted)}"
+        helped += f"; refuted by the test record, and left out: {', '.join(found.refuted)}"
     if verdict is Verdict.UNKNOWN_EFFECT:
         return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}{helped}."
     if verdict is Verdict.UNEXPLAINED:
         return f"{_unexplained(found)}; {errors}{helped}."
     closed, share = f"{errors}, {after:.3g}{unit} with it", 100 * min(gap["closed_fraction"], 1.0)
+    if verdict is Verdict.NOT_CONFIRMED and not effects:
+        one = f"a correction without a name ({', '.join(found.refuted)})"
+        return f"Found on the estimation record, not confirmed by the test record: {one}; {errors}."
     if verdict is Verdict.NOT_CONFIRMED:
         return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
     left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"

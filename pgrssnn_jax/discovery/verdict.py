@@ -6,7 +6,7 @@ effect_found     named effects close the gap
 ambiguous        named effects close it, but others predict as well on these data
 unknown_effect   what is missing is in no catalogue, but the errors follow the signals
 unexplained      errors stand clearly above the noise, and nothing accounts for most of them
-not_confirmed    effects were found on the estimation record, and the test record refutes them
+not_confirmed    something was found on the estimation record, and the test record refutes it
 """
 
 from collections.abc import Mapping, Sequence
@@ -50,10 +50,12 @@ def judge(
     nominal: float,
     criteria: Criteria,
     convention: str | None = None,
+    *,
+    corrected: bool = True,
 ) -> Judgement:
     """On the estimation record alone. nominal: weighted RMS error of the nominal physics, with its best initial state;
-    convention: an effect that is none."""
-    unnamed = _unnamed(selection, nameless, criteria)
+    convention: an effect that is none; corrected: may a correction without a name be what is missing?"""
+    unnamed = _unnamed(selection, nameless, criteria) if corrected else None
     active = [name for name in selection.final.estimate.active if name != convention]
     alternatives = {name: _alternatives(problem, selection.screenings[name], name, criteria) for name in active}
     unknown = unnamed is not None or nameless.line is not None
@@ -92,6 +94,13 @@ def reading_convention(problem: Problem, model: Model) -> str | None:
     return name if np.all((away <= 2.0 * deviation) & (2.0 * deviation < physics.dt)) else None
 
 
+def without_correction(judgement: Judgement) -> Judgement:
+    """Of a judgement without the correction that the test record refutes. Where it alone was found, near the noise,
+    that finding is not confirmed."""
+    nothing = judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED)
+    return judgement._replace(verdict=Verdict.NOT_CONFIRMED) if nothing else judgement
+
+
 def confirmed(
     judgement: Judgement, improvement: tuple[float, float], relative_error: float, *, mostly_open: bool = False
 ) -> Judgement:
@@ -112,11 +121,11 @@ def mostly_open(selection: Selection, closed: float, criteria: Criteria) -> bool
     return closed < EXPLAINED and selection.last.rms() > criteria.clear * selection.floor
 
 
-def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float], *, clear: bool) -> tuple[str, ...]:
+def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
     """Effects that stand for an unknown one and do harm on the test record, where a correction in their place was found
-    without them. clear: are the errors of the recalibrated physics clearly above the noise? Else chance found both."""
+    without them."""
     alone = judgement.unnamed is not None and not judgement.unnamed[0].base.estimate.active
-    return tuple(judgement.alternatives) if clear and alone and _harmful(judgement, improvement) else ()
+    return tuple(judgement.alternatives) if alone and _harmful(judgement, improvement) else ()
 
 
 def _harmful(judgement: Judgement, improvement: tuple[float, float]) -> bool:

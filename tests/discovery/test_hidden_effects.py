@@ -139,6 +139,20 @@ def test_a_stand_in_that_does_harm_on_the_test_record_is_left_out():
     assert "refuted by the test record, and left out: input_offset" in told["sentence"]
 
 
+def test_a_correction_that_the_test_record_refutes_is_not_what_is_missing():
+    """A dead zone without a name in the estimation record, and none in the test record. That errors follow the signals
+    is still said."""
+    problem = linear_problem(fixed=("A", "B", "C"))
+    records = driven_through_a_dead_zone(400, 1, -2.0, 2.0), linear_record(160, 2)
+    found = discovered(problem, *records, choices())
+    assert found.judgement.verdict is Verdict.UNKNOWN_EFFECT
+    assert found.judgement.unnamed is None
+    assert found.formula is None
+    (name,) = found.refuted
+    told = discovery_json(found, setup_of(problem, *records, choices()), command="")
+    assert f"refuted by the test record, and left out: {name}" in told["sentence"]
+
+
 def linear_with_decoys(offset: float) -> Discovery:
     names = ("sensor_offset", "input_offset", "input_gain", "input_dead_zone")
     return linear(linear_problem(*names, fixed=("B",)), offset=offset, start=Start.UNKNOWN)

@@ -21,6 +21,7 @@ from pgrssnn_jax.discovery.verdict import (
     mostly_open,
     stand_ins_refuted,
     with_channels,
+    without_correction,
 )
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.tanks import cascaded_tanks
@@ -168,20 +169,28 @@ def test_in_the_place_of_names_a_correction_has_their_p_value_to_spend(problem, 
 
 
 @pytest.mark.parametrize(
-    ("instead", "improvement", "clear", "expected"),
-    [
-        (4.0, (-0.3, -0.1), True, (NAME,)),
-        (4.0, (-0.3, 0.1), True, ()),
-        (4.0, (-0.3, -0.1), False, ()),
-        (None, (-0.3, -0.1), True, ()),
-    ],
+    ("instead", "improvement", "expected"),
+    [(4.0, (-0.3, -0.1), (NAME,)), (4.0, (-0.3, 0.1), ()), (None, (-0.3, -0.1), ())],
 )
 def test_stand_ins_that_do_harm_leave_where_a_correction_in_their_place_is_known(
-    problem, instead, improvement, clear, expected
+    problem, instead, improvement, expected
 ):
     found = judged(problem, 400.0, 9.0, instead=instead, beside=None if instead else 4.0)
     assert found.verdict is Verdict.UNKNOWN_EFFECT
-    assert stand_ins_refuted(found, improvement, clear=clear) == expected
+    assert stand_ins_refuted(found, improvement) == expected
+
+
+@pytest.mark.parametrize(
+    ("verdict", "expected"),
+    [
+        (Verdict.NO_DISCREPANCY, Verdict.NOT_CONFIRMED),
+        (Verdict.MISCALIBRATED, Verdict.NOT_CONFIRMED),
+        (Verdict.UNEXPLAINED, Verdict.UNEXPLAINED),
+        (Verdict.EFFECT_FOUND, Verdict.EFFECT_FOUND),
+    ],
+)
+def test_a_correction_that_alone_was_found_and_is_refuted_is_not_confirmed(verdict, expected):
+    assert without_correction(Judgement(verdict, None, {})).verdict is expected
 
 
 def test_a_spectral_line_is_unknown(problem):
