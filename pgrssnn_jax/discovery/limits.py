@@ -16,15 +16,17 @@ from pgrssnn_jax.discovery.settings import Criteria
 def without_idle_limits(
     problem: Problem, signals: Signals, selection: Selection, settings: Settings, criteria: Criteria
 ) -> Selection:
-    """Limits that do not predict left-out blocks better by `certain` standard errors, taken away one by one."""
-    model = selection.final
+    """Taken away one by one: limits that close less than `share` of the gap and do not predict left-out blocks better
+    by `certain` standard errors. A limit that a few samples reach, all in one block, is not certain in that sense."""
+    model, least = selection.final, criteria.share * max(selection.first.rms() - selection.floor, 0.0)
     while places := _spare(problem, model):
         guess = model.estimate.guess
         rivals = [guess._replace(theta=moved(guess.theta, place, problem.theta[place])) for place in places]
         fitted = [guess for guess, _ in fit_all(problem, signals, rivals, settings)]
         best = max(fitted_models(problem, signals, fitted, settings, criteria.block), key=lambda one: one.score)
         better, error = model.better_than(best)
-        if better > criteria.certain * error:
+        closed = selection.last.rms(best) - selection.last.rms(model)
+        if better > criteria.certain * error or closed >= least > 0.0:
             break
         model = best
     return selection._replace(final=model, last=selection.last._replace(base=model))

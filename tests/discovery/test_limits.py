@@ -25,10 +25,14 @@ def problem() -> Problem:
     return build_problem(physics, effects, fixed=["A", "B", "C"], accelerate=False)
 
 
-def left(problem: Problem, low: list[float], high: list[float]) -> dict[str, np.ndarray]:
-    """Limits that stay of four that a fit brought; low, high: those of the sensors that wrote the record."""
+def left(
+    problem: Problem, low: list[float], high: list[float], gap: float = 0.0, pulse: float = 0.0
+) -> dict[str, np.ndarray]:
+    """Limits that stay of four that a fit brought; low, high: those of the sensors that wrote the record; gap: of the
+    physics without the effect, in noises; pulse: of the input, for ten samples within a block."""
     draw = np.random.default_rng(2)
     u, x, y = draw.standard_normal((640, 1)), np.zeros(2), []
+    u[289:299] += pulse
     for (held,) in u:
         x = np.array([0.9 * x[0] + 0.3 * held, 0.7 * x[1] + 0.6 * held])
         y.append(np.clip(x, low, high) + NOISE * draw.standard_normal(2))
@@ -39,8 +43,12 @@ def left(problem: Problem, low: list[float], high: list[float]) -> dict[str, np.
         theta = problem.put(problem.theta, NAME, ends)
         ((fitted, _),) = fit_all(problem, signals, [Guess((NAME,), theta, np.zeros((1, 2)))], settings)
         (model,) = fitted_models(problem, signals, [fitted], settings, criteria.block)
-        beside = screening(model, {})
-        selection = Selection(model, model, {}, beside, beside, 1.0)
+        beside = screening(model, {})._replace(size=signals.size)
+        errors = model.estimate.error
+        first = model._replace(estimate=model.estimate._replace(error=errors * (1.0 + gap)))
+        noise = model.estimate.cost / signals.size if gap else 1e6
+        before = screening(first, {})._replace(size=signals.size)
+        selection = Selection(first, model, {}, before, beside, noise)
         found = without_idle_limits(problem, signals, selection, settings, criteria)
     assert found.last.base is found.final
     return problem.params(found.final.estimate.theta).effects[NAME]
@@ -64,3 +72,11 @@ def test_the_last_limit_of_an_effect_is_not_taken_away(problem):
     """Whether it belongs there has been decided before."""
     found = left(problem, [-INFINITE, -INFINITE], [INFINITE, INFINITE])
     assert sum(np.isfinite(value).sum() for value in found.values()) == 1
+
+
+@pytest.mark.parametrize(("gap", "stays"), [(3.0, True), (0.0, False)])
+def test_a_limit_that_one_part_of_the_record_reaches_stays_where_it_closes_a_share_of_the_gap(problem, gap, stays):
+    """Without that part nothing is known of it, so it predicts no part better."""
+    found = left(problem, [-0.6, -INFINITE], [3.0, INFINITE], gap, pulse=3.0)
+    assert found["low"][0] == pytest.approx(-0.6, abs=0.02)
+    assert np.isfinite(found["high"][0]) == stays
