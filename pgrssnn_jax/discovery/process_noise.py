@@ -32,6 +32,7 @@ from pgrssnn_jax.discovery.responses import Path, path_of
 _SIZES = 10.0 ** np.arange(-1.0, 3.1, 0.5)  # variance of readings by a disturbance, in variances of the white noise
 _POLES = np.exp([-np.inf, -1.0 / 10.0, -1.0 / 100.0])  # a: no memory, 10 and 100 samples
 _ENOUGH = 4096  # samples of all sequences from which a disturbance is chosen
+_MOST = 20_000_000  # numbers of all models: of longer records the noise is coloured, and nothing else is tried
 _TINY = 1e-300
 
 
@@ -70,14 +71,16 @@ class ProcessNoise(NamedTuple):
         return sandwich(at, meat + np.diag(at.precision * variance))
 
 
-def disturbed_along(problem: Problem, signals: Signals, guess: Guess) -> Models:
-    """The model of a guess along its free run."""
+def disturbed_along(problem: Problem, signals: Signals, guess: Guess) -> Models | None:
+    """The model of a guess along its free run, None where the record is too long."""
     return disturbed(problem, signals, path_of(problem, signals, guess))
 
 
-def disturbed(problem: Problem, signals: Signals, path: Path) -> Models:
+def disturbed(problem: Problem, signals: Signals, path: Path) -> Models | None:
     """With every disturbance as one more state, behind those of the physics."""
     n, (n_seq, time) = len(problem.physics.states), path.x.shape[:2]
+    if n_seq * time * len(_POLES) * (n + path.b.shape[-1]) * (n + 1) ** 2 > _MOST:
+        return None
     states = [np.broadcast_to(one, (n_seq, time, n)) for one in np.eye(n)]
     places = np.stack([*states, *np.moveaxis(path.b[..., :n, :], -1, 0)])
     c = path.c[..., :n] * signals.weight[..., None]
@@ -101,8 +104,10 @@ def with_disturbances(
     return Models(whole, entering, seen, measured, output_timing == "after_step")
 
 
-def disturbances(models: Models, at: Linearisation) -> Disturbances | None:
+def disturbances(models: Models | None, at: Linearisation) -> Disturbances | None:
     """Of every size in every model; None where none of them reaches an output. at: of any model of the record."""
+    if models is None:
+        return None
     white = white_variance(at.error, at.measured) + _TINY
     with np.errstate(over="ignore", invalid="ignore"):
         reached = (unmeasured_variance(models) / white)[:, models.measured].mean(1)

@@ -20,6 +20,7 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.kalman import Models
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.noise import ORDER
 from pgrssnn_jax.discovery.null import Null, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.process_noise import ProcessNoise, disturbances, process_noise
@@ -49,7 +50,7 @@ def against_process_noise(
     at: Linearisation,
     added: Added,
     candidates: Sequence[Fitted],
-    models: Callable[[], Models],
+    models: Callable[[], Models | None],
     criteria: Criteria,
     rng: np.random.Generator,
 ) -> Null:
@@ -72,8 +73,8 @@ def _beyond_doubt(doubtful: Sequence[Fitted], at: Linearisation) -> bool:
     best = max(doubtful, key=lambda one: one.gain, default=None)
     if best is None:
         return True
-    fitted = best.at()
-    gain = noise_of(fitted).likelihood(fitted.measured) - noise_of(at, _LONG).likelihood(at.measured)
+    fitted, order = best.at(), min(_LONG, max(ORDER, at.error.shape[1] // 2))  # of short sequences a shorter one
+    gain = noise_of(fitted).likelihood(fitted.measured) - noise_of(at, order).likelihood(at.measured)
     return gain > _CERTAIN
 
 

@@ -6,7 +6,7 @@ from discovery.test_null import gained, linearised
 from discovery.test_process_noise import SAMPLES, axis, disturbed
 
 from pgrssnn_jax.discovery.kalman import Models
-from pgrssnn_jax.discovery.likelihood import noise_of
+from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.null import null_distribution
 from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise
 from pgrssnn_jax.discovery.settings import Criteria
@@ -60,12 +60,19 @@ def test_without_a_disturbance_the_null_of_coloured_noise_stays(seed):
     assert found == coloured
 
 
-def test_what_is_far_likelier_in_noise_of_almost_any_kind_needs_no_disturbance():
+def in_sequences(at: Linearisation, count: int) -> Linearisation:
+    error, columns, measured = (a.reshape(count, -1, *a.shape[2:]) for a in (at.error, at.columns, at.measured))
+    return at._replace(error=error, columns=columns, measured=measured)
+
+
+@pytest.mark.parametrize("sequences", [1, 20])
+def test_what_is_far_likelier_in_noise_of_almost_any_kind_needs_no_disturbance(sequences):
     rng = np.random.default_rng(0)
     push = forced(np.sign(np.sin(0.05 * np.arange(SAMPLES))))[:, None]
     columns = np.column_stack([np.ones(SAMPLES), forced(np.eye(1, SAMPLES)[0])])
     error = disturbed(0.03, rng) + 0.5 * push[:, 0]
     at, beside = linearised(error, columns), linearised(error, np.hstack([columns, push]))
+    at, beside = in_sequences(at, sequences), in_sequences(beside, sequences)
     null = null_distribution(at, noise_of(beside).recoloured, [("push", push)], 199, 100, rng)
     fit = Fitted("push", gained(error, columns, push), lambda: beside)
     assert null.p_value("push", fit.gain) <= 0.01
