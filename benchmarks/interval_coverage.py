@@ -3,7 +3,7 @@
 
 Cases of the hidden-effect suite in which nothing is missing: the physics alone is fitted, as a discovery does for its
 final parameters, which takes a second a case. Prints, by noise and by system, the share of true parameters within the
-interval of the sandwich and within the widest one (`discovery/intervals.py`), and the median ratio of their widths.
+interval of the sandwich and within the widest one (`discovery/deviations.py`), and the median ratio of their widths.
 """
 
 import argparse
@@ -22,9 +22,9 @@ from hidden.nominal import true_parameters
 from rich.console import Console
 from rich.table import Table
 
+from pgrssnn_jax.discovery.deviations import deviations
 from pgrssnn_jax.discovery.estimate import Settings, evaluate
 from pgrssnn_jax.discovery.identify import most_likely
-from pgrssnn_jax.discovery.intervals import deviations
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
 from pgrssnn_jax.discovery.recalibrate import nominal_guess, recalibrated_guess

@@ -22,8 +22,8 @@ import scipy
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
 from pgrssnn_jax.discovery.channels import with_fewest_channels
+from pgrssnn_jax.discovery.deviations import deviations
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
-from pgrssnn_jax.discovery.intervals import deviations
 from pgrssnn_jax.discovery.linearise import linearisation, runs
 from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.optimism import optimism

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from toys import small_record
 
+from pgrssnn_jax.discovery.deviations import Deviations, deviations
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
-from pgrssnn_jax.discovery.intervals import Deviations, deviations
 from pgrssnn_jax.discovery.problem import Problem, build_problem, weighted_signals
 from pgrssnn_jax.physics.linear import lgssm
 
