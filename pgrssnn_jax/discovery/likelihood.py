@@ -52,7 +52,7 @@ class Noise(NamedTuple):
     def likelihood(self, measured: Bool[np.ndarray, "seq time y"]) -> float:
         """Log-likelihood of the errors."""
         count = measured.sum((0, 1))
-        variance = np.where(measured, self.innovations**2, 0.0).sum((0, 1)) / count
+        variance = np.where(measured, self.innovations**2, 0.0).sum((0, 1)) / np.maximum(count, 1)
         return float(-0.5 * (count * (np.log(2.0 * np.pi * variance + _TINY) + 1.0)).sum())
 
 

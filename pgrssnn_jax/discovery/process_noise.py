@@ -132,7 +132,8 @@ def _likeliest(tried: Disturbances, error: Float[np.ndarray, "seq time y"]) -> i
     variance = tried.filters.variance
     squares = squared_innovations(tried.models, tried.filters, error)
     count = int(tried.models.measured[:, : variance.shape[2]].sum())
-    return int(np.argmax(_concentrated(squares, np.log(variance).sum((1, 2, 3)), count)))
+    likelihood = _concentrated(squares, np.log(variance).sum((1, 2, 3)), count)
+    return int(np.argmax(np.nan_to_num(likelihood, nan=-np.inf)))  # of a filter that has left the range
 
 
 def _fitted(

@@ -159,3 +159,14 @@ def test_the_colour_is_that_of_the_errors_although_the_fit_has_bleached_them(kin
         found.append(noise_of(at).filters[0, 1])
         assert noise_of(at).innovations.std() == pytest.approx(1.0, rel=0.15)
     assert np.mean(found) == pytest.approx(-0.9 if kind == "AR(0.9)" else 0.0, abs=0.12)
+
+
+def test_an_output_that_was_never_measured_says_nothing():
+    draw = np.random.default_rng(0)
+    error, measured = draw.standard_normal((1, 200, 2)), np.ones((1, 200, 2), bool)
+    measured[..., 1] = False
+    columns = np.ones((1, 200, 2, 1)) * measured[..., None]
+    at = Linearisation(np.where(measured, error, 0.0), columns, measured, np.zeros(1), np.zeros(1))
+    one = Linearisation(*(a[:, :, :1] for a in (at.error, at.columns, at.measured)), at.precision, at.pull)
+    found, alone = (noise_of(each).likelihood(each.measured) for each in (at, one))
+    assert found == pytest.approx(alone, rel=1e-6)
