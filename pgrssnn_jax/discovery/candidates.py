@@ -11,12 +11,12 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, signal_range_of
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
-from pgrssnn_jax.discovery.linearise import added, linearisation, runs, visible
+from pgrssnn_jax.discovery.linearise import added, linearisation, linearised, runs, visible
 from pgrssnn_jax.discovery.noise import noise_floor
 from pgrssnn_jax.discovery.null import LEAST_GAIN, Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.process_noise import disturbed_along
-from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise, linearised
+from pgrssnn_jax.discovery.process_noise import models_along
+from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.base import SignalRange
 
@@ -143,7 +143,7 @@ def score_candidates(
     models = [*(model for model, _ in fitted), *(c.model for c in known if c.model)]
     noise = white_noise(signals, [base, *models])
     fits = [Fitted(c.name, c.gain, partial(linearised, problem, signals, c.guess, settings)) for c in found if c.model]
-    null = against_process_noise(null, at, named, fits, partial(disturbed_along, problem, signals, here), criteria, rng)
+    null = against_process_noise(null, at, named, fits, partial(models_along, problem, signals, here), criteria, rng)
     return Screening(base, ranked(found), null, visible(at, named), signals.size, noise)
 
 
@@ -227,7 +227,7 @@ def _null(
     null = null_distribution(at, noise_of(at).recoloured, named, criteria.draws, least, rng)
     if best is None or null.p_value(best.name, best.gain) <= criteria.p_value:
         return null
-    left = noise_of(linearised(problem, signals, best.guess, settings))
+    left = noise_of(linearised(problem, signals, best.guess, settings)[0])
     other = null_distribution(at, left.recoloured, named, criteria.draws, least, rng)
     return min(null, other, key=lambda one: one.p_value(best.name, best.gain))
 

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.likelihood import Linearisation
-from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.linearise import linearised
 from pgrssnn_jax.discovery.null import LEAST_GAIN
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
@@ -119,8 +119,7 @@ def _elsewhere(
 
 
 def _linearised(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> _Linear:
-    (run,) = runs(problem, signals, [guess], settings)
-    at, free = linearisation(problem, signals, guess, run)
+    at, free = linearised(problem, signals, guess, settings)
     k = at.columns.shape[-1]
     columns = at.columns.reshape(-1, k)
     normal = columns.T @ columns + np.diag(at.precision)

@@ -12,9 +12,9 @@ from jaxtyping import Float, Int
 from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.likelihood import noise_of
-from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.linearise import linearised
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.process_noise import disturbances, disturbed_along, process_noise
+from pgrssnn_jax.discovery.process_noise import disturbances, models_along, process_noise
 
 
 class Deviations(NamedTuple):
@@ -29,12 +29,11 @@ class Deviations(NamedTuple):
 
 def deviations(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Deviations:
     """Of the free numbers of a fitted model."""
-    (run,) = runs(problem, signals, [guess], settings)
-    at, free = linearisation(problem, signals, guess, run)
+    at, free = linearised(problem, signals, guess, settings)
     noise = noise_of(at)
     coloured, _ = likelihood.covariance(at, noise, problem.noise)
     widest, freedom = likelihood.deviations(at, noise, problem.noise)
-    if (tried := disturbances(disturbed_along(problem, signals, guess), at)) is not None:
+    if (tried := disturbances(models_along(problem, signals, guess), at)) is not None:
         found = process_noise(tried, at)
         if found.likelihood > noise.likelihood(at.measured):
             widest = np.maximum(widest, _roots(found.covariance(at, problem.noise)))

@@ -54,8 +54,8 @@ class Location(NamedTuple):
 
 class Discovery(NamedTuple):
     """Everything that was found out. signals and estimation: sequences of the record, uncut; convention: the effect
-    that says no more than when the data were read; refuted: what was left out because of the test record: effects that
-    stood for an unknown one and do harm there, a correction without a name that does not predict it better."""
+    that says no more than when the data were read; refuted: names of effects, or of a correction without a name, that
+    the test record refutes."""
 
     problem: Problem
     signals: Signals
@@ -89,6 +89,16 @@ class Judged(NamedTuple):
     judgement: Judgement
     formula: Formula | None
     convention: str | None
+
+
+class Tested(NamedTuple):
+    """refuted: names of effects, or of a correction, that are left out."""
+
+    named: Named
+    judged: Judged
+    numbers: Numbers
+    proved: Proved
+    refuted: tuple[str, ...]
 
 
 def discover(setup: Setup, notify: Callable[[str], None]) -> Discovery:
@@ -153,21 +163,19 @@ def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Ju
     return Judged(corrections, nameless, rms, judgement, told, convention)
 
 
-def _tested(
-    named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
-) -> tuple[Named, Judged, Numbers, Proved, tuple[str, ...]]:
-    """Final numbers and the test record, and what is left out because of it."""
+def _tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]) -> Tested:
+    """Final numbers and validation; effects or a correction that the test record refutes are left out."""
     numbers, proved = _proved(named, setup, seconds)
     refuted = stand_ins_refuted(judged.judgement, proved.test.improvement)
     bare = _without_stand_ins(named, judged) if refuted else (named, judged)
     with timed(seconds, "prove"):
         helps = _correction_helps(*bare, setup)
     if refuted and helps:
-        return *bare, *_proved(bare[0], setup, seconds), refuted
+        return Tested(*bare, *_proved(bare[0], setup, seconds), refuted)
     if refuted or helps:
-        return named, judged, numbers, proved, ()
+        return Tested(named, judged, numbers, proved, ())
     judged, refuted = _without_correction(named, judged, setup)
-    return named, judged, numbers, proved, refuted
+    return Tested(named, judged, numbers, proved, refuted)
 
 
 def _correction_helps(named: Named, judged: Judged, setup: Setup) -> bool:
@@ -184,8 +192,8 @@ def _without_correction(named: Named, judged: Judged, setup: Setup) -> tuple[Jud
     """The judgement without the correction, and its name."""
     unnamed, (problem, selection) = judged.judgement.unnamed, (named.problem, named.selection)
     assert unnamed is not None
-    rest = judged.nameless, judged.rms, setup.settings.criteria, judged.convention
-    again = without_correction(judge(problem, selection, *rest, corrected=False))
+    rest = judged.nameless.without_corrections(), judged.rms, setup.settings.criteria, judged.convention
+    again = without_correction(judge(problem, selection, *rest))
     return judged._replace(judgement=again, formula=None), (unnamed[1].name,)
 
 

@@ -24,7 +24,7 @@ from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
 from pgrssnn_jax.discovery.channels import with_fewest_channels
 from pgrssnn_jax.discovery.deviations import deviations
 from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
-from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.linearise import linearised
 from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.optimism import optimism
 from pgrssnn_jax.discovery.problem import Problem, Signals
@@ -136,8 +136,7 @@ def departures(problem: Problem, model: Model) -> list[Departure]:
 
 def undetermined(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> list[Combination]:
     """Combinations of parameters about which the prior says more than the data."""
-    (run,) = runs(problem, signals, [guess], settings)
-    at, free = linearisation(problem, signals, guess, run)
+    at, free = linearised(problem, signals, guess, settings)
     covariance, _ = likelihood.covariance(at, likelihood.noise_of(at), problem.noise)
     own = np.flatnonzero(problem.precision[free] > 0)
     places = free[own]

@@ -23,10 +23,17 @@ class Models(NamedTuple):
     measured: Bool[np.ndarray, "seq time y"]
     after: bool
 
+    def first(self, samples: int) -> "Models":
+        """Of so many samples: the first sequences or, of a longer one, its first samples."""
+        time = min(self.a.shape[2], samples)
+        count = max(1, samples // time)
+        a, g = (one[:, :count, :time] for one in (self.a, self.g))
+        return Models(a, g, self.c[:count, :time], self.measured[:count, :time], self.after)
+
 
 class Filters(NamedTuple):
     """model: of each filter; size: standard deviation of w; gains: K, 0 where nothing was measured; variance of the
-    innovations, 1 there. The first samples of a record, or all."""
+    innovations, 1 there."""
 
     model: Int[np.ndarray, " filter"]
     size: Float[np.ndarray, " filter"]
@@ -53,12 +60,11 @@ def filters(
     model: Int[np.ndarray, " filter"],
     size: Float[np.ndarray, " filter"],
     white: Float[np.ndarray, " y"],
-    time: int,
 ) -> Filters:
-    """Over the first samples. white: diagonal of R."""
-    (n_seq, _, n_y, n), count = models.c.shape, len(model)
+    """white: diagonal of R."""
+    (n_seq, time, n_y, n), count = models.c.shape, len(model)
     gains, variance = np.zeros((count, n_seq, time, n_y, n)), np.ones((count, n_seq, time, n_y))
-    g, p = size[:, None, None, None] * models.g[model, :, :time], np.zeros((count, n_seq, n, n))
+    g, p = size[:, None, None, None] * models.g[model], np.zeros((count, n_seq, n, n))
     for t in range(time):
         a = models.a[model, :, t]
         p = _propagated(p, a, g[:, :, t]) if models.after else p
@@ -78,37 +84,20 @@ def _propagated(p: np.ndarray, a: np.ndarray, g: np.ndarray) -> np.ndarray:
     return a @ p @ a.swapaxes(-1, -2) + g[..., None] * g[..., None, :]
 
 
-def squared_innovations(
-    models: Models, known: Filters, error: Float[np.ndarray, "seq time y"]
-) -> Float[np.ndarray, " filter"]:
-    """Σ ε² / cov ε of the first samples, by every filter."""
-    n_seq, _, n_y, n = models.c.shape
-    x, found = np.zeros((len(known.model), n_seq, n)), np.zeros(len(known.model))
-    for t in range(known.variance.shape[2]):
-        a = models.a[known.model, :, t]
-        x = (a @ x[..., None])[..., 0] if models.after else x
-        for j in range(n_y):
-            expected = (x * models.c[:, t, j]).sum(-1)
-            innovation = np.where(models.measured[:, t, j], error[:, t, j] - expected, 0.0)
-            x = x + known.gains[:, :, t, j] * innovation[..., None]
-            found += (innovation**2 / known.variance[:, :, t, j]).sum(-1)
-        x = x if models.after else (a @ x[..., None])[..., 0]
-    return found
-
-
 def innovations(
-    models: Models, one: Filters, values: Float[np.ndarray, "seq time y k"]
-) -> Float[np.ndarray, "seq time y k"]:
-    """W e of independent columns of errors, by one filter over the whole record."""
-    a, gains = models.a[one.model[0]], one.gains[0]
-    x, found = np.zeros((len(a), a.shape[-1], values.shape[-1])), np.zeros(values.shape)
-    for t in range(a.shape[1]):
-        x = a[:, t] @ x if models.after else x
-        for j in range(values.shape[2]):
-            there = models.measured[:, t, j, None]
-            found[:, t, j] = np.where(there, values[:, t, j] - (models.c[:, t, j, None] @ x)[:, 0], 0.0)
-            x = x + gains[:, t, j, :, None] * found[:, t, j, None]
-        x = x if models.after else a[:, t] @ x
+    models: Models, known: Filters, values: Float[np.ndarray, "seq time y k"]
+) -> Float[np.ndarray, "filter seq time y k"]:
+    """W e of independent columns of errors, by every filter."""
+    (n_seq, time, n_y, n), count = models.c.shape, values.shape[-1]
+    x, found = np.zeros((len(known.model), n_seq, n, count)), np.zeros((len(known.model), *values.shape))
+    for t in range(time):
+        a = models.a[known.model, :, t]
+        x = a @ x if models.after else x
+        for j in range(n_y):
+            there, expected = models.measured[:, t, j, None], (models.c[:, t, j, None] @ x)[:, :, 0]
+            found[:, :, t, j] = now = np.where(there, values[:, t, j] - expected, 0.0)
+            x = x + known.gains[:, :, t, j, :, None] * now[:, :, None]
+        x = x if models.after else a @ x
     return found
 
 

@@ -13,7 +13,7 @@ block. Sources: Cochrane, Orcutt, J. Am. Stat. Assoc. 44, 1949; White, Econometr
 J. Appl. Econometrics 38, 2023 (few blocks, Student's t).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -51,9 +51,17 @@ class Noise(NamedTuple):
 
     def likelihood(self, measured: Bool[np.ndarray, "seq time y"]) -> float:
         """Log-likelihood of the errors."""
-        count = measured.sum((0, 1))
-        variance = np.where(measured, self.innovations**2, 0.0).sum((0, 1)) / np.maximum(count, 1)
-        return float(-0.5 * (count * (np.log(2.0 * np.pi * variance + _TINY) + 1.0)).sum())
+        squares = np.where(measured, self.innovations**2, 0.0).sum((0, 1))
+        return float(concentrated(squares, measured.sum((0, 1))).sum())
+
+
+def concentrated(squares: Any, count: Any, sizes: Any = 0.0) -> Any:
+    """Log-likelihood of normal errors at the likeliest size of all of them together.
+
+        -½ (n log(2π Σ ε²/v / n) + n + Σ log v)
+
+    squares: Σ ε²/v; count: n; sizes: Σ log v, v: their variances up to that size."""
+    return -0.5 * (count * (np.log(2.0 * np.pi * squares / np.maximum(count, 1) + _TINY) + 1.0) + sizes)
 
 
 def left_out(

@@ -17,6 +17,7 @@ from pgrssnn_jax.discovery.likelihood import Linearisation
 from pgrssnn_jax.discovery.null import beside, orthonormal
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
+Linearised = tuple[Linearisation, Int[np.ndarray, " k"]]  # and the positions in θ of its first columns
 _NOTHING = 1e-20  # of an energy: a change that is none, in any unit of a number
 _RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
 
@@ -51,9 +52,7 @@ def runs(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings:
     return found
 
 
-def linearisation(
-    problem: Problem, signals: Signals, guess: Guess, run: Run
-) -> tuple[Linearisation, Int[np.ndarray, " k"]]:
+def linearisation(problem: Problem, signals: Signals, guess: Guess, run: Run) -> Linearised:
     """Of a model at its present numbers, without those that stand at a bound; with the positions that are left."""
     theta = guess.theta[run.places]
     inside = (theta > problem.low[run.places]) & (theta < problem.high[run.places])
@@ -65,6 +64,12 @@ def linearisation(
     given = np.where(problem.precision[free] > 0, problem.theta[free], guess.theta[free])  # may be infinite without
     pull[: len(free)] = precision[: len(free)] * (given - guess.theta[free])
     return Linearisation(run.error, columns, signals.weight > 0, precision, pull), free
+
+
+def linearised(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Linearised:
+    """The same of a guess that was not run yet."""
+    (run,) = runs(problem, signals, [guess], settings)
+    return linearisation(problem, signals, guess, run)
 
 
 def _starts_apart(dy: Float[np.ndarray, "seq time y d"], k: int) -> Float[np.ndarray, "seq time y m"]:

@@ -29,6 +29,9 @@ class Nameless(NamedTuple):
     line: Line | None
     follows: Follows | None
 
+    def without_corrections(self) -> "Nameless":
+        return self._replace(beside=self.beside._replace(candidates=()), alone=None)
+
 
 def look_beyond(
     corrections: Corrections, how: Scoring, selection: Selection, criteria: Criteria, rng: np.random.Generator

@@ -14,10 +14,11 @@ from pgrssnn_jax.discovery.corrected import Corrected, numbers_of
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.flexible import families
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
+from pgrssnn_jax.discovery.linearise import Linearised, linearised
 from pgrssnn_jax.discovery.null import beside, nats, null_distribution, orthonormal
 from pgrssnn_jax.discovery.problem import Problem, Signals, carried
-from pgrssnn_jax.discovery.process_noise import disturbed
-from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise, linearised
+from pgrssnn_jax.discovery.process_noise import models_of
+from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise
 from pgrssnn_jax.discovery.responses import Response, correction_responses, path_of
 from pgrssnn_jax.discovery.settings import Criteria
 
@@ -52,7 +53,7 @@ def score_corrections(
     guess = base.estimate.guess
     path = path_of(problem, signals, guess)
     responses = correction_responses(problem, path, families(problem.physics))
-    at = linearised(problem, signals, guess, settings)
+    at, _ = linearised(problem, signals, guess, settings)
     columns = {name: _weighted(signals, one) for name, one in responses.items()}
     null = null_distribution(
         at, noise_of(at).recoloured, list(columns.items()), criteria.draws, int(np.ceil(1.0 / criteria.p_value)), rng
@@ -67,12 +68,12 @@ def score_corrections(
     rest = [Candidate(name, promised[name], guess) for name in names if name not in hopeful[:_FINALISTS]]
     models = [c.model for c in fitted if c.model]
     fits = [Fitted(c.name, c.gain, partial(_linearised, corrections, c)) for c in fitted]
-    where = partial(disturbed, problem, signals, path)
+    where = partial(models_of, problem, signals, path)
     null = against_process_noise(null, at, list(columns.items()), fits, where, criteria, rng)
     return Screening(base, ranked([*fitted, *rest]), null, {}, size, white_noise(signals, [base, *models]))
 
 
-def _linearised(corrections: Corrections, candidate: Candidate) -> Linearisation:
+def _linearised(corrections: Corrections, candidate: Candidate) -> Linearised:
     problem = corrections.by(candidate.name)
     return linearised(problem, corrections.signals(problem), candidate.guess, corrections.settings)
 

@@ -9,22 +9,15 @@ slow ones under white ones, and those of an integrating axis grow. Source: Ljung
 4.3 and 7.4.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from pgrssnn_jax.discovery import kalman
 from pgrssnn_jax.discovery.estimate import Guess
-from pgrssnn_jax.discovery.kalman import (
-    Filters,
-    Models,
-    answers,
-    filters,
-    innovations,
-    squared_innovations,
-    unmeasured_variance,
-)
-from pgrssnn_jax.discovery.likelihood import Linearisation, sandwich, step_of
+from pgrssnn_jax.discovery.kalman import Filters, Models
+from pgrssnn_jax.discovery.likelihood import Linearisation, concentrated, sandwich, step_of
 from pgrssnn_jax.discovery.noise import white_variance
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.responses import Path, path_of
@@ -37,10 +30,11 @@ _TINY = 1e-300
 
 
 class Disturbances(NamedTuple):
-    """What may have disturbed a model: filters for every place, memory and size that is tried, over the first samples.
-    white: variances of the sensors' noise that they were made for."""
+    """What may have disturbed a model: filters for every place, memory and size that is tried, over a part of the
+    record. white: variances of the sensors' noise that they were made for."""
 
     models: Models
+    part: Models
     white: Float[np.ndarray, " y"]
     filters: Filters
 
@@ -60,23 +54,23 @@ class ProcessNoise(NamedTuple):
 
     def whitened(self, values: Float[np.ndarray, "seq time y k"]) -> Float[np.ndarray, "seq time y k"]:
         """In standard deviations of the innovations."""
-        return innovations(self.models, self.filter, values) / self.filter.variance[0, ..., None] ** 0.5
+        return kalman.innovations(self.models, self.filter, values)[0] / self.filter.variance[0, ..., None] ** 0.5
 
     def covariance(self, at: Linearisation, variance: float) -> Float[np.ndarray, "k k"]:
         """Of the least squares estimate; variance: of the weighted errors that the prior's precision belongs to."""
         count, k = at.measured.sum(), at.columns.shape[-1]
         squares = self.innovations**2 * count / max(count - k, 1)
-        moved = answers(self.models, self.filter, at.columns * at.measured[..., None])
+        moved = kalman.answers(self.models, self.filter, at.columns * at.measured[..., None])
         meat = np.einsum("sty,styk,styl->kl", squares, moved, moved, optimize=True)
         return sandwich(at, meat + np.diag(at.precision * variance))
 
 
-def disturbed_along(problem: Problem, signals: Signals, guess: Guess) -> Models | None:
+def models_along(problem: Problem, signals: Signals, guess: Guess) -> Models | None:
     """The model of a guess along its free run, None where the record is too long."""
-    return disturbed(problem, signals, path_of(problem, signals, guess))
+    return models_of(problem, signals, path_of(problem, signals, guess))
 
 
-def disturbed(problem: Problem, signals: Signals, path: Path) -> Models | None:
+def models_of(problem: Problem, signals: Signals, path: Path) -> Models | None:
     """With every disturbance as one more state, behind those of the physics."""
     n, (n_seq, time) = len(problem.physics.states), path.x.shape[:2]
     if n_seq * time * len(_POLES) * (n + path.b.shape[-1]) * (n + 1) ** 2 > _MOST:
@@ -110,13 +104,13 @@ def disturbances(models: Models | None, at: Linearisation) -> Disturbances | Non
         return None
     white = white_variance(at.error, at.measured) + _TINY
     with np.errstate(over="ignore", invalid="ignore"):
-        reached = (unmeasured_variance(models) / white)[:, models.measured].mean(1)
+        reached = (kalman.unmeasured_variance(models) / white)[:, models.measured].mean(1)
     model = np.repeat(np.flatnonzero(np.isfinite(reached) & (reached > _TINY)), len(_SIZES))
     if not len(model):
         return None
     size = (np.tile(_SIZES, len(model) // len(_SIZES)) / reached[model]) ** 0.5
-    n_seq, time = at.error.shape[:2]
-    return Disturbances(models, white, filters(models, model, size, white, min(time, max(1, _ENOUGH // n_seq))))
+    part = models.first(_ENOUGH)
+    return Disturbances(models, part, white, kalman.filters(part, model, size, white))
 
 
 def process_noise(tried: Disturbances, at: Linearisation) -> ProcessNoise:
@@ -129,10 +123,11 @@ def process_noise(tried: Disturbances, at: Linearisation) -> ProcessNoise:
 
 
 def _likeliest(tried: Disturbances, error: Float[np.ndarray, "seq time y"]) -> int:
+    n_seq, time = tried.part.measured.shape[:2]
     variance = tried.filters.variance
-    squares = squared_innovations(tried.models, tried.filters, error)
-    count = int(tried.models.measured[:, : variance.shape[2]].sum())
-    likelihood = _concentrated(squares, np.log(variance).sum((1, 2, 3)), count)
+    left = kalman.innovations(tried.part, tried.filters, error[:n_seq, :time, :, None])[..., 0]
+    squares, sizes = (one.sum((1, 2, 3)) for one in (left**2 / variance, np.log(variance)))
+    likelihood = concentrated(squares, int(tried.part.measured.sum()), sizes)
     return int(np.argmax(np.nan_to_num(likelihood, nan=-np.inf)))  # of a filter that has left the range
 
 
@@ -142,23 +137,18 @@ def _fitted(
     """Generalised least squares by one of the disturbances, and the errors that it leaves."""
     one = _whole(tried, chosen)
     variance = one.variance[0]
-    passed = innovations(tried.models, one, np.concatenate([at.error[..., None], at.columns], -1))
+    passed = kalman.innovations(tried.models, one, np.concatenate([at.error[..., None], at.columns], -1))[0]
     scaled = at._replace(error=passed[..., 0], columns=passed[..., 1:])
     step = step_of(scaled, at.measured / variance, at.error.var() + _TINY)
     left = scaled.error - scaled.columns @ step
     squares, sizes = np.where(at.measured, (left**2 / variance, np.log(variance)), 0.0).sum((1, 2, 3))
-    likelihood = float(_concentrated(squares, sizes, int(at.measured.sum())))
+    likelihood = float(concentrated(squares, int(at.measured.sum()), sizes))
     return ProcessNoise(tried.models, one, left, likelihood), np.where(at.measured, at.error - at.columns @ step, 0.0)
 
 
 def _whole(tried: Disturbances, chosen: int) -> Filters:
     """One of the filters over the whole record."""
-    one, time = tried.filters.some(np.array([chosen])), tried.models.a.shape[2]
-    if one.variance.shape[2] == time:
+    one = tried.filters.some(np.array([chosen]))
+    if tried.part.measured.shape == tried.models.measured.shape:
         return one
-    return filters(tried.models, one.model, one.size, tried.white, time)
-
-
-def _concentrated(squares: Any, sizes: Any, count: int) -> Any:
-    """Log-likelihood at the likeliest size of all noise together. sizes: Σ log of the variances."""
-    return -0.5 * (count * (np.log(2.0 * np.pi * squares / count + _TINY) + 1.0) + sizes)
+    return kalman.filters(tried.models, one.model, one.size, tried.white)

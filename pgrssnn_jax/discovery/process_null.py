@@ -5,7 +5,7 @@ candidate is then that of the likelihood, each side with the likeliest size of t
 
     gain = log L₁ - log L₀
 
-and its distribution by luck that of innovations with random signs beside whitened columns (`null.py`):
+and its null distribution (`null.py`) is the gain of whitened columns on innovations ε* with random signs:
 
     gain* = ½ n log(‖ε*‖² / ‖ε* - Q Qᵀ ε*‖²),  ε*_t = s_t ε_t,  s_t = ±1
 """
@@ -16,13 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.kalman import Models
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
-from pgrssnn_jax.discovery.linearise import linearisation, runs
+from pgrssnn_jax.discovery.linearise import Linearised
 from pgrssnn_jax.discovery.noise import ORDER
 from pgrssnn_jax.discovery.null import Null, null_distribution
-from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.process_noise import ProcessNoise, disturbances, process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 
@@ -33,16 +31,11 @@ Added = Sequence[tuple[str, Float[np.ndarray, "n _"]]]  # name of an effect, and
 
 
 class Fitted(NamedTuple):
-    """A candidate at its fit. at: its linearisation there."""
+    """A candidate at its fit. at: linearised there."""
 
     name: str
     gain: float
-    at: Callable[[], Linearisation]
-
-
-def linearised(problem: Problem, signals: Signals, guess: Guess, settings: Settings) -> Linearisation:
-    (run,) = runs(problem, signals, [guess], settings)
-    return linearisation(problem, signals, guess, run)[0]
+    at: Callable[[], Linearised]
 
 
 def against_process_noise(
@@ -64,7 +57,7 @@ def against_process_noise(
         return null
     law = _law(disturbed, at, added, criteria, rng)
     same = tried.like(disturbed.filter)
-    gains = {one.name: process_noise(same, one.at()).likelihood - disturbed.likelihood for one in doubtful}
+    gains = {one.name: process_noise(same, one.at()[0]).likelihood - disturbed.likelihood for one in doubtful}
     return null._replace(known={name: law.p_value(name, gain) for name, gain in gains.items()})
 
 
@@ -73,7 +66,7 @@ def _beyond_doubt(doubtful: Sequence[Fitted], at: Linearisation) -> bool:
     best = max(doubtful, key=lambda one: one.gain, default=None)
     if best is None:
         return True
-    fitted, order = best.at(), min(_LONG, max(ORDER, at.error.shape[1] // 2))  # of short sequences a shorter one
+    (fitted, _), order = best.at(), min(_LONG, max(ORDER, at.error.shape[1] // 2))  # of short sequences a shorter one
     gain = noise_of(fitted).likelihood(fitted.measured) - noise_of(at, order).likelihood(at.measured)
     return gain > _CERTAIN
 

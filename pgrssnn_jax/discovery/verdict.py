@@ -50,12 +50,10 @@ def judge(
     nominal: float,
     criteria: Criteria,
     convention: str | None = None,
-    *,
-    corrected: bool = True,
 ) -> Judgement:
     """On the estimation record alone. nominal: weighted RMS error of the nominal physics, with its best initial state;
-    convention: an effect that is none; corrected: may a correction without a name be what is missing?"""
-    unnamed = _unnamed(selection, nameless, criteria) if corrected else None
+    convention: an effect that is none."""
+    unnamed = _unnamed(selection, nameless, criteria)
     active = [name for name in selection.final.estimate.active if name != convention]
     alternatives = {name: _alternatives(problem, selection.screenings[name], name, criteria) for name in active}
     unknown = unnamed is not None or nameless.line is not None

@@ -10,7 +10,6 @@ from pgrssnn_jax.discovery.kalman import (
     answers,
     filters,
     innovations,
-    squared_innovations,
     unmeasured_variance,
 )
 
@@ -50,23 +49,23 @@ def where(request: pytest.FixtureRequest) -> Models:
 
 
 def known(where: Models) -> Filters:
-    return filters(where, BOTH, SIZE, WHITE, SAMPLES)
+    return filters(where, BOTH, SIZE, WHITE)
 
 
 def test_innovations_have_the_likelihood_of_the_dense_covariance(where):
     there, both = where.measured.ravel(), known(where)
     error = np.where(there, np.random.default_rng(2).standard_normal(2 * SAMPLES), 0.0)
-    squares = squared_innovations(where, both, error.reshape(1, SAMPLES, 2))
+    by_both = innovations(where, both, error.reshape(1, SAMPLES, 2, 1))
     for k in BOTH:
         covariance = SIZE[k] ** 2 * dense_covariance(where, k) + np.diag(np.tile(WHITE, SAMPLES))
         expected = stats.multivariate_normal.logpdf(
             error[there], np.zeros(there.sum()), covariance[np.ix_(there, there)]
         )
         one = both.some(np.array([k]))
-        found = innovations(where, one, error.reshape(1, SAMPLES, 2, 1))[..., 0]
+        (found,) = innovations(where, one, error.reshape(1, SAMPLES, 2, 1))[..., 0]
         each = stats.norm.logpdf(found, scale=one.variance[0] ** 0.5)[where.measured]
         assert each.sum() == pytest.approx(expected, rel=1e-9)
-        assert (found**2 / one.variance[0]).sum() == pytest.approx(squares[k], rel=1e-9)
+        np.testing.assert_allclose(by_both[k, ..., 0], found, atol=1e-13)
 
 
 def test_without_measurements_a_reading_varies_as_the_dense_covariance_says(where):
@@ -80,11 +79,18 @@ def test_answers_are_the_transpose_of_errors_by_innovations(where):
     rng, one = np.random.default_rng(4), known(where).some(np.array([1]))
     there = where.measured[..., None]
     errors, columns = (np.where(there, rng.standard_normal((1, SAMPLES, 2, 3)), 0.0) for _ in "ab")
-    products = (innovations(where, one, errors) * answers(where, one, columns)).sum((0, 1, 2))
+    products = (innovations(where, one, errors)[0] * answers(where, one, columns)).sum((0, 1, 2))
     np.testing.assert_allclose(products, (errors * columns).sum((0, 1, 2)), rtol=1e-10)
 
 
 def test_filters_of_a_part_are_the_first_part_of_all(where):
-    whole, part = known(where), filters(where, BOTH, SIZE, WHITE, 25)
+    whole, part = known(where), filters(where.first(25), BOTH, SIZE, WHITE)
     np.testing.assert_array_equal(part.gains, whole.gains[:, :, :25])
     np.testing.assert_array_equal(part.variance, whole.variance[:, :, :25])
+
+
+@pytest.mark.parametrize(("samples", "shape"), [(50, (2, 20)), (30, (1, 20)), (7, (1, 7)), (1000, (3, 20))])
+def test_the_first_samples_are_those_of_whole_sequences(samples, shape):
+    a, g = np.zeros((2, 3, 20, 2, 2)), np.zeros((2, 3, 20, 2))
+    part = Models(a, g, np.zeros((3, 20, 1, 2)), np.ones((3, 20, 1), bool), True).first(samples)
+    assert part.a.shape[1:3] == part.g.shape[1:3] == part.c.shape[:2] == part.measured.shape[:2] == shape

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from discovery.test_null import gained, linearised
-from discovery.test_process_noise import SAMPLES, axis, disturbed
+from discovery.test_process_noise import SAMPLES, A, axis, disturbed
 
 from pgrssnn_jax.discovery.kalman import Models
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
@@ -19,7 +19,7 @@ def forced(force: np.ndarray) -> np.ndarray:
     """Position of the axis under a force."""
     x, found = np.zeros(2), np.zeros(len(force))
     for t, one in enumerate(force):
-        x = np.array([[1.0, 0.1], [0.0, 0.98]]) @ x + [0.0, one]
+        x = A @ x + [0.0, one]
         found[t] = x[0]
     return found
 
@@ -35,7 +35,7 @@ def p_values(seed: int, size: float, hidden: float = 0.0) -> tuple[float, float]
     at = linearised(error, columns)
     null = null_distribution(at, noise_of(at).recoloured, catalogue, 199, 100, rng)
     fits = [
-        Fitted(name, gained(error, columns, own), lambda own=own: linearised(error, np.hstack([columns, own])))
+        Fitted(name, gained(error, columns, own), lambda own=own: (linearised(error, np.hstack([columns, own])), None))
         for name, own in catalogue
     ]
     other = against_process_noise(null, at, catalogue, fits, axis, CRITERIA, rng)
@@ -74,7 +74,7 @@ def test_what_is_far_likelier_in_noise_of_almost_any_kind_needs_no_disturbance(s
     at, beside = linearised(error, columns), linearised(error, np.hstack([columns, push]))
     at, beside = in_sequences(at, sequences), in_sequences(beside, sequences)
     null = null_distribution(at, noise_of(beside).recoloured, [("push", push)], 199, 100, rng)
-    fit = Fitted("push", gained(error, columns, push), lambda: beside)
+    fit = Fitted("push", gained(error, columns, push), lambda: (beside, None))
     assert null.p_value("push", fit.gain) <= 0.01
 
     def unused() -> Models:
