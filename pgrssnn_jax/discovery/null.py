@@ -24,24 +24,36 @@ from pgrssnn_jax.discovery.likelihood import Linearisation
 _AT_ONCE = 1_000_000  # samples of noise held in memory
 _WORK = 20_000_000  # samples of noise in all: of long records fewer draws are made
 LEAST_GAIN = 0.05  # nats: fits end that near to their optimum, so less is no gain
+_SAME = 1.1  # times the gain of a fit: another one gains more, and was found beside other effects
 _NEGLIGIBLE = 1e-6  # of a column: what is left of it after a projection is rounding
 
 Recoloured = Callable[[int, np.random.Generator], Float[np.ndarray, "draw seq time y"]]  # so many draws of the errors
 
 
+class Known(NamedTuple):
+    """p-value of an effect by another law, at the fit that gained so much."""
+
+    gain: float
+    p_value: float
+
+
 class Null(NamedTuple):
     """Of the best effect by luck alone. law `[draw]`: least p-value of any effect, sorted; shape, scale: gamma
-    distribution of the gain of every effect, nats; known: p-values of effects by another law, which count."""
+    distribution of the gain of every effect, nats; known: by the names of effects, for fits that gain a tenth more at
+    most."""
 
     law: Float[np.ndarray, " draw"]
     shape: Mapping[str, float]
     scale: Mapping[str, float]
-    known: Mapping[str, float] = MappingProxyType({})
+    known: Mapping[str, Known] = MappingProxyType({})
 
     def p_value(self, name: str, gain: float) -> float:
         """Probability that any effect is as unlikely by luck."""
         alone = scipy.stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
-        return self.known.get(name, float((1 + (self.law <= alone).sum()) / (1 + len(self.law))))
+        known = self.known.get(name)
+        if known is not None and gain <= _SAME * known.gain + LEAST_GAIN:
+            return known.p_value
+        return float((1 + (self.law <= alone).sum()) / (1 + len(self.law)))
 
     def gains(self, name: str) -> Float[np.ndarray, " draw"]:
         """The law in the gains of one effect."""

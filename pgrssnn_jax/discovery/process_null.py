@@ -20,7 +20,7 @@ from pgrssnn_jax.discovery.kalman import Models
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import Linearised
 from pgrssnn_jax.discovery.noise import ORDER
-from pgrssnn_jax.discovery.null import Null, null_distribution
+from pgrssnn_jax.discovery.null import Known, Null, null_distribution
 from pgrssnn_jax.discovery.process_noise import ProcessNoise, disturbances, process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 
@@ -57,8 +57,11 @@ def against_process_noise(
         return null
     law = _law(disturbed, at, added, criteria, rng)
     same = tried.like(disturbed.filter)
-    gains = {one.name: process_noise(same, one.at()[0]).likelihood - disturbed.likelihood for one in doubtful}
-    return null._replace(known={name: law.p_value(name, gain) for name, gain in gains.items()})
+    known = dict[str, Known]()
+    for one in doubtful:
+        gain = process_noise(same, one.at()[0]).likelihood - disturbed.likelihood
+        known[one.name] = Known(one.gain, law.p_value(one.name, gain))
+    return null._replace(known=known)
 
 
 def _beyond_doubt(doubtful: Sequence[Fitted], at: Linearisation) -> bool:

@@ -6,7 +6,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from pgrssnn_jax.discovery.likelihood import Linearisation, Noise, noise_of
-from pgrssnn_jax.discovery.null import Null, nats, null_distribution, null_of
+from pgrssnn_jax.discovery.null import Known, Null, nats, null_distribution, null_of
 
 SAMPLES, TESTS = 300, 80
 RAMP = np.linspace(-1.0, 1.0, SAMPLES)
@@ -125,3 +125,13 @@ def test_gains_of_effects_are_compared_by_how_likely_they_are():
     null = null_of({"wild": rng.gamma(2.0, 10.0, 500), "tame": rng.gamma(2.0, 0.1, 500)})
     assert null.p_value("wild", 30.0) > 0.2 > 0.01 > null.p_value("tame", 2.0)
     assert nats(1.0 - np.exp(-1.0), 2) == pytest.approx(1.0)
+
+
+def test_a_known_p_value_is_that_of_its_fit_and_not_of_a_much_better_one():
+    """Beside nothing a ceiling may be fitted badly, and well beside another effect (a boiler of a fourth author)."""
+    null = drawn([("one", np.random.default_rng(7).standard_normal((SAMPLES, 1)))], np.ones((SAMPLES, 1)))
+    usual = null.p_value("one", 30.0)
+    assert usual < 0.01
+    known = null._replace(known={"one": Known(10.0, 0.6)})
+    assert known.p_value("one", 10.5) == 0.6
+    assert known.p_value("one", 30.0) == usual
