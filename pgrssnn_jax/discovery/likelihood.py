@@ -25,6 +25,7 @@ _ROUNDS = 3  # of Cochrane and Orcutt: with one, 10 % of tests at the 5 % level 
 _RIDGE = 1e-10  # of a column's energy
 _TINY = 1e-300
 _BLOCKS = 8  # of the jackknife, in a record; of 360 parameters 93, 95, 93, 93, 89 % are covered with 6, 8, 12, 20, 40
+_TOLD_BY_ONE = 100.0  # growth of a variance without one fold, ten times as unsure: a line does not reach that far
 _SAID_BY_ONE = 2.0  # growth of a variance without one block, above which the jackknife cannot judge a number
 
 
@@ -67,11 +68,16 @@ def concentrated(squares: Any, count: Any, sizes: Any = 0.0) -> Any:
 def left_out(
     at: Linearisation, fold: Int[np.ndarray, "seq time"], block: int
 ) -> tuple[Float[np.ndarray, " block"], Int[np.ndarray, " block"]]:
-    """Squared errors of every block of `block` samples by fits to the other folds, and how many samples they are."""
+    """Squared errors of every block of `block` samples by fits to the other folds, and how many samples they are. A
+    number that only one fold tells stays as it is there: a line would lead it anywhere, and not to what a fit without
+    that fold finds."""
     squares, counts = np.zeros(at.error.shape), at.measured & (fold >= 0)[..., None]
+    every = _variances(at, np.where(at.measured, 1.0, 0.0))
     for f in range(int(fold.max(initial=0)) + 1):
-        rest = at.measured & (fold != f)[..., None]
-        left = at.error - at.columns @ step_of(at, np.where(rest, 1.0, 0.0))
+        rest = np.where(at.measured & (fold != f)[..., None], 1.0, 0.0)
+        told = _variances(at, rest) < _TOLD_BY_ONE * every
+        step = step_of(at._replace(columns=at.columns * told), rest)
+        left = at.error - at.columns @ np.where(told, step, 0.0)
         squares = np.where(counts & (fold == f)[..., None], left**2, squares)
     edges = np.arange(0, at.error.shape[1], block)
     return _sums(squares, edges), _sums(counts * 1, edges)

@@ -46,6 +46,21 @@ def test_left_out_blocks_are_predicted_as_by_refits(precision):
     np.testing.assert_allclose(squares, (scored * left**2).reshape(-1, 16).sum(1), rtol=1e-6)
 
 
+def test_a_number_that_one_fold_alone_tells_stays_where_that_fold_is_predicted():
+    """The second limit of a boiler, which a few samples touch: by a line it would go anywhere, and all else be lost."""
+    columns, rng = regressors(), np.random.default_rng(2)
+    touched = np.zeros(SAMPLES)
+    touched[168:172] = 0.01, 0.02, 0.02, 0.01
+    touched[300] = 1e-9  # of rounding
+    at = linearised(rng.standard_normal(SAMPLES), np.column_stack([columns, touched]))
+    fold = np.arange(SAMPLES) // 16 % 5
+    squares, _ = left_out(at, fold[None], 16)
+    without, _ = left_out(linearised(at.error[0, :, 0], columns), fold[None], 16)
+    block = 168 // 16
+    assert squares[block] == pytest.approx(without[block], rel=0.05)
+    np.testing.assert_allclose(squares.sum(), without.sum(), rtol=0.05)
+
+
 def errors(kind: str, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     if kind == "larger at times":
