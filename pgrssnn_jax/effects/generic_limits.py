@@ -94,9 +94,9 @@ def ceiling(physics: Physics, places: list[Place]) -> Effect:
         places,
         "ceiling",
         1.0,
-        title="Overflow",
+        title="Upper limit",
         equation="x ≤ L" + acted_on(physics, places, LEVEL),
-        cause="a vessel runs over its rim, a store is full: what comes in beyond it is lost",
+        cause="a vessel overflows, a valve relieves, a store is full: what comes in beyond it is lost",
     )
 
 
