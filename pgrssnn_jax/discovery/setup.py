@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgrssnn_jax.acceleration.room import make_room
 from pgrssnn_jax.discovery.linear import DRAWS
 from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.steps import with_short_steps
@@ -85,6 +86,7 @@ def set_up(
 ) -> Setup:
     """effects: added to the catalogue; realisation: which dataset of the records. Raises `ValueError` with one sentence
     for everything that could turn out to be bad input later."""
+    make_room()
     nominal, physics = physics, physics.variant(**_chosen(physics, settings.replace))
     if physics.remark:
         notify(physics.remark)

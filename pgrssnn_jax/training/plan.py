@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from pgrssnn_jax.acceleration.native import missing_kernels
+from pgrssnn_jax.acceleration.room import make_room
 from pgrssnn_jax.models.initial_state import InitialState
 from pgrssnn_jax.models.model import build_model
 from pgrssnn_jax.models.rollout import Route
@@ -65,6 +66,7 @@ def plan_training(
 ) -> Plan:
     """train: `[seq, time, channel]`, or with a leading axis of datasets; validation: None takes the part that came with
     the data, or the tail of train."""
+    make_room()
     train = matched(train, physics.inputs, physics.outputs, physics.dt, where="data: train")
     if validation is not None:
         validation = matched(validation, physics.inputs, physics.outputs, physics.dt, where="data: validation")
