@@ -8,7 +8,7 @@
 coefficients are zero, so that the same fits serve named effects and these.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -22,7 +22,7 @@ from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
 KNOTS = 8
 HISTORY = 6  # samples of the past
-_WIDE = 4  # more states than this: rates are corrected by themselves and by what they are the rate of
+_WIDE = 4  # more states than this: a state is corrected by itself, a rate also by what it is the rate of
 
 
 class Where(NamedTuple):
@@ -42,20 +42,23 @@ def families(physics: Physics) -> dict[str, Where]:
     for i, state in enumerate(states):
         for kind, signals in (("x", states), ("u", () if wide else inputs)):
             for j, signal in enumerate(signals):
-                if not wide or _belong(state, signal):
+                if not wide or _belong(states, state, signal):
                     found[f"{state.name} by {signal.name}"] = Where("state", i, (kind, j))
     for j, signal in enumerate(inputs):
         found[f"{signal.name} by itself"] = Where("input", j, ("u", j))
-        if not wide:
-            found[f"{signal.name} by its history"] = Where("history", j, ("u", j))
+        found[f"{signal.name} by its history"] = Where("history", j, ("u", j))
     for j, signal in enumerate(outputs):
         found[f"reading of {signal.name} by itself"] = Where("output", j, ("y", j))
     return found
 
 
-def _belong(state: Signal, signal: Signal) -> bool:
-    """Is the signal the output or state whose rate the state is, or that rate?"""
-    return state.rate_of is not None and state.rate_of in (signal.name, signal.like, signal.rate_of)
+def _belong(states: Sequence[Signal], state: Signal, signal: Signal) -> bool:
+    """Is the signal the state itself, or the output or state whose rate it is? The equation of a state whose rate is a
+    state is known."""
+    if state.rate_of is None:
+        rates = {one.rate_of for one in states if one.rate_of is not None}
+        return signal.name == state.name and not rates & {state.name, state.like}
+    return state.rate_of in (signal.name, signal.like, signal.rate_of)
 
 
 def flexible_effects(physics: Physics) -> tuple[Effect, ...]:
