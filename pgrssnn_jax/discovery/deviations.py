@@ -14,7 +14,7 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.likelihood import noise_of
 from pgrssnn_jax.discovery.linearise import linearised
 from pgrssnn_jax.discovery.problem import Problem, Signals
-from pgrssnn_jax.discovery.process_noise import disturbances, models_along, process_noise
+from pgrssnn_jax.discovery.process_noise import likelier, models_along
 
 
 class Deviations(NamedTuple):
@@ -33,10 +33,8 @@ def deviations(problem: Problem, signals: Signals, guess: Guess, settings: Setti
     noise = noise_of(at)
     coloured, _ = likelihood.covariance(at, noise, problem.noise)
     widest, freedom = likelihood.deviations(at, noise, problem.noise)
-    if (tried := disturbances(models_along(problem, signals, guess), at)) is not None:
-        found = process_noise(tried, at)
-        if found.likelihood > noise.likelihood(at.measured):
-            widest = np.maximum(widest, _roots(found.covariance(at, problem.noise)))
+    if found := likelier(models_along(problem, signals, guess), at, noise):
+        widest = np.maximum(widest, _roots(found[1].covariance(at, problem.noise)))
     return Deviations(free, widest[: len(free)], _roots(coloured)[: len(free)], freedom)
 
 

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from pgrssnn_jax.discovery import kalman
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.kalman import Filters, Models
-from pgrssnn_jax.discovery.likelihood import Linearisation, concentrated, sandwich, step_of
+from pgrssnn_jax.discovery.likelihood import Linearisation, Noise, concentrated, sandwich, step_of
 from pgrssnn_jax.discovery.noise import white_variance
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.responses import Path, path_of
@@ -111,6 +111,15 @@ def disturbances(models: Models | None, at: Linearisation) -> Disturbances | Non
     size = (np.tile(_SIZES, len(model) // len(_SIZES)) / reached[model]) ** 0.5
     part = models.first(_ENOUGH)
     return Disturbances(models, part, white, kalman.filters(part, model, size, white))
+
+
+def likelier(models: Models | None, at: Linearisation, coloured: Noise) -> tuple[Disturbances, ProcessNoise] | None:
+    """The likeliest disturbance, where the errors are likelier with it than in coloured noise of the sensors."""
+    tried = disturbances(models, at)
+    if tried is None:
+        return None
+    found = process_noise(tried, at)
+    return (tried, found) if found.likelihood > coloured.likelihood(at.measured) else None
 
 
 def process_noise(tried: Disturbances, at: Linearisation) -> ProcessNoise:

@@ -21,7 +21,7 @@ from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import Linearised
 from pgrssnn_jax.discovery.noise import ORDER
 from pgrssnn_jax.discovery.null import Known, Null, null_distribution
-from pgrssnn_jax.discovery.process_noise import ProcessNoise, disturbances, process_noise
+from pgrssnn_jax.discovery.process_noise import ProcessNoise, likelier, process_noise
 from pgrssnn_jax.discovery.settings import Criteria
 
 _LONG = 32  # coefficients of an autoregression that describes slow errors under white ones too, if roughly
@@ -49,12 +49,10 @@ def against_process_noise(
 ) -> Null:
     """null: of coloured noise, kept where that is likelier or nothing counts under it; at, models: of the base."""
     doubtful = [one for one in candidates if null.p_value(one.name, one.gain) <= criteria.further]
-    tried = None if _beyond_doubt(doubtful, at) else disturbances(models(), at)
-    if tried is None:
+    found = None if _beyond_doubt(doubtful, at) else likelier(models(), at, noise_of(at))
+    if found is None:
         return null
-    disturbed = process_noise(tried, at)
-    if disturbed.likelihood <= noise_of(at).likelihood(at.measured):
-        return null
+    tried, disturbed = found
     law = _law(disturbed, at, added, criteria, rng)
     same = tried.like(disturbed.filter)
     known = dict[str, Known]()
