@@ -12,12 +12,13 @@ import numpy as np
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.follows import Follows, errors_follow
+from pgrssnn_jax.discovery.line import line_beside_noise
 from pgrssnn_jax.discovery.nonparametric import CURVED, Corrections, score_corrections
 from pgrssnn_jax.discovery.problem import carried
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
-from pgrssnn_jax.discovery.spectrum import Line, spectral_line
+from pgrssnn_jax.discovery.spectrum import Line
 
 
 class Nameless(NamedTuple):
@@ -45,19 +46,17 @@ def look_beyond(
     if active:  # in the place of the named effects it must do better than they
         least = selection.first.rms() - selection.last.rms() + least_fall(selection, criteria, criteria.share)
         alone = score_corrections(corrections, selection.recalibrated, criteria, least, rng)
-    if selection.last.rms() <= criteria.clear * selection.floor:
-        return Nameless(beside, alone, None, None)
     problem, signals = corrections.problem, how.uncut
-    driven = errors_follow(problem, signals, final.estimate, rng)
-    return Nameless(beside, alone, spectral_line(final.estimate.error, signals.u), driven)
+    clear = selection.last.rms() > criteria.clear * selection.floor
+    line = line_beside_noise(problem, signals, final.estimate, how.settings, criteria, clear=clear)
+    return Nameless(beside, alone, line, errors_follow(problem, signals, final.estimate, rng) if clear else None)
 
 
 def least_fall(selection: Selection, criteria: Criteria, share: float) -> float:
     """Fall of the weighted RMS error below that of the names, by which a correction shows that they miss something: a
-    share of the gap or, where errors stay clearly above the noise, most of the rest, as for an effect."""
+    share of the gap, or most of the rest, as for an effect."""
     gap, left = (max(one.rms() - selection.floor, 0.0) for one in (selection.first, selection.last))
-    segmented = selection.final.free_run is not None  # whose free run over sequences has errors of its own scale
-    if segmented or selection.last.rms() <= criteria.clear * selection.floor:
+    if selection.final.free_run is not None:  # the free run over sequences has errors of its own scale
         return share * gap
     return max(min(share * gap, criteria.rest * left), criteria.exact * gap)
 

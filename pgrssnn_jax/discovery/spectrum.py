@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 _LINE = 30.0  # times the median of its neighbourhood: a line in the spectrum of the errors
 _LINE_SHARE = 0.1  # of the energy of the errors
 _NEIGHBOURS = 25  # bins on either side, at most
+_LOWEST = 8  # bin, and highest from the end, that has neighbours on both sides
 _PERIODS = 16  # in the record, at least: of fewer, slow errors and a line look alike
 
 
@@ -44,9 +45,13 @@ def power_at(signal: Float[np.ndarray, "seq time"], line: Line) -> float:
 
 def has_line(u: Float[np.ndarray, "seq time u"], line: Line) -> bool:
     """Has any input a line in this bin?"""
-    k, moved = round(u.shape[1] / line.period), u - u.mean(1, keepdims=True)
-    powers = [_power(moved[..., j]) for j in range(u.shape[2]) if np.any(moved[..., j])]
-    return any(power[k] >= _LINE * _surroundings(power, k) for power in powers)
+    k = round(u.shape[1] / line.period)
+    return any(power[k] >= _LINE * _surroundings(power, k) for power in _powers(u))
+
+
+def has_lines(u: Float[np.ndarray, "seq time u"]) -> bool:
+    """Has any input a line anywhere?"""
+    return any(p[k] >= _LINE * _surroundings(p, k) for p in _powers(u) for k in range(_LOWEST, len(p) - _LOWEST))
 
 
 def without_line(
@@ -82,6 +87,12 @@ def _strongest(error: Float[np.ndarray, "seq time"]) -> Line | None:
 
 def _power(signal: Float[np.ndarray, "seq time"]) -> Float[np.ndarray, " bin"]:
     return (np.abs(np.fft.rfft(signal * np.hanning(signal.shape[1]), axis=1)) ** 2).sum(0)
+
+
+def _powers(u: Float[np.ndarray, "seq time u"]) -> list[Float[np.ndarray, " bin"]]:
+    """Of every input that moves."""
+    moved = u - u.mean(1, keepdims=True)
+    return [_power(moved[..., j]) for j in range(u.shape[2]) if np.any(moved[..., j])]
 
 
 def _top(three: Float[np.ndarray, "3"]) -> float:
