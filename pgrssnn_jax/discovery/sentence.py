@@ -49,7 +49,8 @@ def _verdict(
     if verdict is Verdict.NO_DISCREPANCY:
         return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
     if verdict is Verdict.MISCALIBRATED:
-        return f"Only parameters were wrong: {errors}, noise about {gap['floor']:.3g}{unit}."
+        refuted = ", but the test record refutes the new ones" if found.test.improvement[1] < 0.0 else ""
+        return f"Only parameters were wrong{refuted}: {errors}, noise about {gap['floor']:.3g}{unit}."
     titles = " and ".join(map(_title, effects))
     helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
     if found.refuted:

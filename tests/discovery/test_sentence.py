@@ -19,14 +19,21 @@ OFFSET = {
 }
 
 
-def said(closed: float, at: list[str], verdict: Verdict = Verdict.EFFECT_FOUND, others: Sequence = ()) -> str:
+def said(
+    closed: float,
+    at: list[str],
+    verdict: Verdict = Verdict.EFFECT_FOUND,
+    others: Sequence = (),
+    improvement: tuple[float, float] = (0.1, 0.2),
+) -> str:
     error = np.random.default_rng(0).standard_normal((1, 200, 1))
     selection = SimpleNamespace(
         last=SimpleNamespace(rms=lambda: 3.0),
         floor=1.0,
         final=SimpleNamespace(estimate=SimpleNamespace(error=error, active=("input_offset",))),
     )
-    told = {"judgement": SimpleNamespace(verdict=verdict), "selection": selection}  # of the rest it says nothing here
+    test = SimpleNamespace(improvement=improvement)
+    told = {"judgement": SimpleNamespace(verdict=verdict), "selection": selection, "test": test}  # the rest: nothing
     found = Discovery._make(told.get(name) for name in Discovery._fields)
     errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
     gap = {**errors, "metric": "RMSE", "unit": "K", "floor": 0.1, "closed_fraction": closed}
@@ -54,3 +61,16 @@ def test_another_channel_of_the_same_effect_is_an_alternative():
 def test_channels_are_named_where_there_are_others():
     assert "input offset;" in said(0.9, OFFSET["channel_names"])
     assert "input offset (heat1, outdoor);" in said(0.9, ["heat1", "outdoor"])
+
+
+@pytest.mark.parametrize(
+    ("improvement", "begins"),
+    [
+        ((0.1, 0.2), "Only parameters were wrong: test RMSE 3 K nominal, 2 K recalibrated"),
+        ((-0.1, 0.2), "Only parameters were wrong: "),
+        ((-0.2, -0.1), "Only parameters were wrong, but the test record refutes the new ones: "),
+    ],
+)
+def test_a_recalibration_that_does_harm_on_the_test_record_is_told(improvement, begins):
+    """A pendulum that turns over in the test record, and not in the other one."""
+    assert said(0.0, ["heat1"], Verdict.MISCALIBRATED, improvement=improvement).startswith(begins)
