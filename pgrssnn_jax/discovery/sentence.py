@@ -99,8 +99,9 @@ def _nameless(found: Discovery) -> str:
     """What is known of something without a name."""
     if found.formula is not None:
         return found.formula.text
-    if found.nameless.line is not None:
-        return "a periodic disturbance"
+    if (line := found.nameless.line) is not None:
+        physics = found.problem.physics
+        return f"a periodic disturbance of {physics.outputs[line.output].name} every {line.period * physics.dt:.3g} s"
     share = found.nameless.follows.share if found.nameless.follows else 0.0
     return (
         f"the errors follow the signals ({100 * share:.0f} % of their energy), but no curve of one signal in one "

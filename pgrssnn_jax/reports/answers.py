@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pgrssnn_jax.reports import discovery_facts as facts
-from pgrssnn_jax.reports.content import number, percent
+from pgrssnn_jax.reports.content import duration, number, percent
 from pgrssnn_jax.reports.discovery_facts import Discovery
 
 _FEW = 3  # effects of which a first screen can tell more
@@ -33,8 +33,14 @@ def _missing(discovery: Discovery) -> Iterator[str]:
         yield f"{effect.get('title') or effect['name']}{': ' if told else ''}{', '.join(told)}"
     if discovery.get("formula"):
         yield f"Without a name: {discovery['formula']}"
+    line = discovery.get("spectrum")
+    if line:
+        size, period = number(line["amplitude"], line.get("unit") or ""), duration(line["period_s"])
+        of = f" of {line['output']}" if line.get("output") else ""
+        yield f"The residual{of} repeats with a period of {period} and an amplitude of {size}."
     if not effects:
-        yield f"{facts.heading(discovery)}."
+        if not (discovery.get("formula") or line):
+            yield f"{facts.heading(discovery)}."
         departed = [f"{row['parameter']} {row['change']:+.0%}" for row in discovery.get("departures") or ()]
         if departed:
             yield f"Parameters outside their prior: {', '.join(departed)}."
@@ -103,8 +109,11 @@ def _next(discovery: Discovery) -> Iterator[str]:
     if unsure:
         yield f"Richer inputs, to determine {', '.join(unsure)}."
     region: Mapping[str, Any] = (discovery.get("remaining") or {}).get("region") or {}
-    unexplained = discovery["verdict"] in ("unknown_effect", "unexplained") and region
+    line = discovery.get("spectrum")
+    if line:
+        yield f"Whatever turns, switches or hums with a period of {duration(line['period_s'])}, as one more input."
+    unexplained = not line and discovery["verdict"] in ("unknown_effect", "unexplained") and region
     if unexplained:
         yield f"More samples where the errors are: {', '.join(region)}."
-    if not (experiments or reasons or unsure or unexplained):
+    if not (experiments or reasons or unsure or line or unexplained):
         yield "These data test every effect of the catalogue and tell them apart."

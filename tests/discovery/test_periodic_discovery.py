@@ -61,10 +61,11 @@ def test_a_hidden_sinusoid_is_named_by_its_place(torque, hum, frequency, name):
     assert found.gap["after"]["test"] < 1.15 * NOISE < 0.6 * found.gap["recalibrated"]["test"]
 
 
-def test_where_its_names_are_removed_it_is_told_as_a_line():
+@pytest.mark.parametrize("hum", [10.0 * NOISE, 0.9 * NOISE])
+def test_where_its_names_are_removed_it_is_told_as_a_line(hum):
     names = ["periodic_disturbance", "periodic_sensor_error"]
-    train, test = (recorded(seed, 0.0, 0.05, 9.7, 2.0) for seed in (2, 3))
+    train, test = (recorded(seed, 0.0, hum, 9.7, 2.0) for seed in (2, 3))
     found = pg.discover(swing(), train, test, without=names, network_epochs=0, quiet=True)
     assert found.verdict == "unknown_effect"
-    assert "a periodic disturbance" in found.sentence
+    assert "a periodic disturbance of angle every 0.103 s" in found.sentence
     assert found.gap["floor"] == pytest.approx(NOISE, rel=0.1)

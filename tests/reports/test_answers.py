@@ -91,3 +91,16 @@ def test_errors_that_nothing_explains_are_an_open_gap():
     told = answers({"verdict": "unexplained", "effects": [], "gap": gap, "remaining": {"rule": "level above 9.4 cm"}})
     assert told["What stays open, and where?"][0].startswith("100 %")
     assert told["What stays open, and where?"][-1] == "Most of it: level above 9.4 cm."
+
+
+@pytest.mark.parametrize("output", ["angle", None])
+def test_a_line_in_the_errors_is_missing_and_the_next_thing_to_measure(output):
+    line = {"period_s": 0.1031, "amplitude": 0.0046, "unit": "rad", "share": 0.3, "output": output}
+    gap = {"metric": "RMSE", "unit": "rad", "open_fraction": 1.0, "floor": 0.005, "after": {"test": 0.006}}
+    where = {"rule": "speed above 0.6 rad/s", "region": {"speed": [0.6, 2.0]}}
+    told = answers({"verdict": "unknown_effect", "effects": [], "gap": gap, "spectrum": line, "remaining": where})
+    of = " of angle" if output else ""
+    expected = f"The residual{of} repeats with a period of 0.103 s and an amplitude of 0.004600 rad."
+    assert expected in told["What is missing?"]
+    (said,) = told["What to measure next?"]
+    assert "0.103 s" in said, "more samples would not help"
