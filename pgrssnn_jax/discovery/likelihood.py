@@ -25,7 +25,7 @@ _ROUNDS = 3  # of Cochrane and Orcutt: with one, 10 % of tests at the 5 % level 
 _RIDGE = 1e-10  # of a column's energy
 _TINY = 1e-300
 _BLOCKS = 8  # of the jackknife, in a record; of 360 parameters 93, 95, 93, 93, 89 % are covered with 6, 8, 12, 20, 40
-_TOLD_BY_ONE = 100.0  # growth of a variance without one fold, ten times as unsure: a line does not reach that far
+_TOLD_BY_ONE = 4.0  # growth of a variance without one fold, which tells three quarters: a line does not reach that far
 _SAID_BY_ONE = 2.0  # growth of a variance without one block, above which the jackknife cannot judge a number
 
 
@@ -69,8 +69,8 @@ def left_out(
     at: Linearisation, fold: Int[np.ndarray, "seq time"], block: int
 ) -> tuple[Float[np.ndarray, " block"], Int[np.ndarray, " block"]]:
     """Squared errors of every block of `block` samples by fits to the other folds, and how many samples they are. A
-    number that only one fold tells stays as it is there: a line would lead it anywhere, and not to what a fit without
-    that fold finds."""
+    number that one fold tells by three quarters stays as it is there: a line would lead it far, and not to what a fit
+    without that fold finds."""
     squares, counts = np.zeros(at.error.shape), at.measured & (fold >= 0)[..., None]
     every = _variances(at, np.where(at.measured, 1.0, 0.0))
     for f in range(int(fold.max(initial=0)) + 1):
