@@ -2,8 +2,9 @@
 
     p = n_bins P(χ²_2s ≥ 2 (log L₁ - log L₀))        L₁: with a sinusoid of its period in every of s sequences
 
-A random disturbance of the dynamics excites their modes, and errors with a resonance have a maximum that looks like a
-line. The likelihoods are those of that disturbance (`process_noise.py`) or of coloured noise, whichever is likelier.
+A random disturbance excites the modes of the dynamics, and the spectrum of errors with a resonance has a maximum that
+looks like a line. The likelihoods are those of that disturbance (`process_noise.py`) or of coloured noise, whichever is
+likelier.
 """
 
 import numpy as np
