@@ -155,23 +155,26 @@ def _jackknifed(at: Linearisation) -> Float[np.ndarray, " k"]:
 
 def _variances(at: Linearisation, weight: Float[np.ndarray, "seq time y"]) -> Float[np.ndarray, " k"]:
     """Of the estimate in white noise of unit size."""
-    k = at.columns.shape[-1]
-    columns = (at.columns * weight[..., None]).reshape(-1, k)
-    normal = columns.T @ columns + np.diag(at.precision)
-    size = np.sqrt(np.maximum(np.diag(normal), _NOTHING))
-    inverse = np.linalg.inv(normal / size / size[:, None] + _RIDGE * np.eye(k))
-    return np.maximum(np.diag(inverse), _TINY) / size**2
+    _, normal, size = _normal(at, weight, 1.0)
+    return np.maximum(np.diag(np.linalg.inv(normal)), _TINY) / size**2
 
 
 def step_of(at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: float = 1.0) -> Float[np.ndarray, " k"]:
     """β of weighted least squares; unit: variance that the prior's precision belongs to."""
+    weighted, normal, size = _normal(at, weight, unit)
+    return np.linalg.solve(normal, (weighted.T @ at.error.ravel() + at.pull / unit) / size) / size
+
+
+def _normal(
+    at: Linearisation, weight: Float[np.ndarray, "seq time y"], unit: float
+) -> tuple[Float[np.ndarray, "n k"], Float[np.ndarray, "k k"], Float[np.ndarray, " k"]]:
+    """Weighted columns; the normal matrix of columns of unit size, with a ridge; their sizes."""
     k = at.columns.shape[-1]
-    columns, error = at.columns.reshape(-1, k), at.error.ravel()
+    columns = at.columns.reshape(-1, k)
     weighted = columns * np.broadcast_to(weight, at.error.shape).reshape(-1, 1)
     normal = weighted.T @ columns + np.diag(at.precision) / unit
-    size = np.sqrt(np.maximum(np.diag(normal), _TINY))
-    right = (weighted.T @ error + at.pull / unit) / size
-    return np.linalg.solve(normal / size / size[:, None] + _RIDGE * np.eye(k), right) / size
+    size = np.sqrt(np.maximum(np.diag(normal), _NOTHING))
+    return weighted, normal / size / size[:, None] + _RIDGE * np.eye(k), size
 
 
 def _filtered(values: np.ndarray, filters: Float[np.ndarray, "y lag"]) -> np.ndarray:
