@@ -45,9 +45,9 @@ from pgrssnn_jax.records.build import record_from as record
 from pgrssnn_jax.records.csv import read_csv as _read_csv
 from pgrssnn_jax.records.matching import A_RECORD
 from pgrssnn_jax.records.record import Array, Record, Start
-from pgrssnn_jax.reports.discovered import Discovered
-from pgrssnn_jax.reports.ensemble import Ensemble
-from pgrssnn_jax.reports.saved import load, restored_physics
+from pgrssnn_jax.results.discovered import Discovered
+from pgrssnn_jax.results.ensemble import Ensemble
+from pgrssnn_jax.results.saved import load, restored_physics
 from pgrssnn_jax.training.choose import choose_settings, settled
 from pgrssnn_jax.training.evaluation import trained_members
 from pgrssnn_jax.training.loop import Progress

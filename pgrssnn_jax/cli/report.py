@@ -23,8 +23,8 @@ from pgrssnn_jax.paper.page import Pictures, evidence_page
 from pgrssnn_jax.paper.published import Paper, read_paper
 from pgrssnn_jax.paper.rows import EvidenceTable, evidence_tables
 from pgrssnn_jax.paper.tables import frame, latex, markdown, terminal_table
-from pgrssnn_jax.reports.verify import verify
 from pgrssnn_jax.reports.write import save_figures
+from pgrssnn_jax.results.verify import verify
 from pgrssnn_jax.training.run_folder import RunFolder, short_path
 
 _KEYS = {"runs", "out", "verify"}

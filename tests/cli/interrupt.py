@@ -23,7 +23,7 @@ from test_discovery_command import LINEAR, SHORT, files
 
 from pgrssnn_jax.paper.collect import read_run
 from pgrssnn_jax.paper.published import read_paper
-from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.results.saved import load
 from pgrssnn_jax.training.run_folder import RunFolder
 
 TANKS = [

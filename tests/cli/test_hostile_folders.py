@@ -16,8 +16,8 @@ import yaml
 from commands import QUICK, called, trained, without_pictures, write_benchmark
 from omegaconf import OmegaConf
 
-from pgrssnn_jax.reports.ensemble import Ensemble
-from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.results.ensemble import Ensemble
+from pgrssnn_jax.results.saved import load
 
 MARK = "struck"  # the file that whatever is executed leaves in the current folder
 SHELL = f"echo struck >> {MARK}"

@@ -14,7 +14,7 @@ import pytest
 from commands import QUICK, called, command, composed, start, trained, without_pictures, write_benchmark
 
 from pgrssnn_jax.cli.resume import resume_config
-from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.results.saved import load
 from pgrssnn_jax.training.run_folder import RunFolder, read_config
 
 FILES = {

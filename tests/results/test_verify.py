@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from commands import QUICK, called, trained, without_pictures, write_benchmark
 
-from pgrssnn_jax.reports.verify import verify
+from pgrssnn_jax.results.verify import verify
 
 
 @pytest.fixture(scope="module")

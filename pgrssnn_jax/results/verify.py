@@ -13,7 +13,7 @@ import numpy as np
 
 from pgrssnn_jax.records.record import Record
 from pgrssnn_jax.records.record import record as build_record
-from pgrssnn_jax.reports.saved import load
+from pgrssnn_jax.results.saved import load
 from pgrssnn_jax.training.run_folder import RunFolder
 
 # The same machine gives the same bits. Another one sums in another order, and a free run lets float32 errors grow: of

@@ -21,7 +21,7 @@ from pgrssnn_jax.physics.library import library_builder
 from pgrssnn_jax.records.arguments import call_with, check_kind, shown
 from pgrssnn_jax.records.record import Channel, RecordInfo, record
 from pgrssnn_jax.records.scaling import Scaling, Units, identity
-from pgrssnn_jax.reports.ensemble import Ensemble
+from pgrssnn_jax.results.ensemble import Ensemble
 from pgrssnn_jax.training.checkpoints import Checkpoint, CheckpointFolder
 from pgrssnn_jax.training.evaluation import Trained
 from pgrssnn_jax.training.intervals import N_LEVELS, Intervals
