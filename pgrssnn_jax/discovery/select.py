@@ -137,7 +137,7 @@ def select(problem: Problem, start: Guess, criteria: Criteria, screened: Screene
     first = screened(start)
     judge = _judge(problem, criteria, first)
     model = _settled(judge, screened, Chosen(first.base, {})).model
-    for other in _other_beginnings(criteria, first, model):
+    for other in _other_beginnings(judge, first, model):
         found = _settled(judge, screened, other).model
         better, error = found.better_than(model)
         model = found if better > error else model
@@ -207,18 +207,29 @@ def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
     return Chosen(model, p_values)
 
 
-def _other_beginnings(criteria: Criteria, first: Screening, model: Model) -> Sequence[Chosen]:
+def _other_beginnings(judge: Judge, first: Screening, model: Model) -> Sequence[Chosen]:
     """The effect that does best alone may be none of two that only do well together. Where none is certain alone, and
     errors stay clearly above the noise, one of two may be certain beside the other: without it, what the other leaves
     looks like noise with a memory."""
-    names, ratio = model.estimate.active, first.rms(model) / max(first.noise**0.5, 1e-300)
-    if ratio <= (criteria.above if names else criteria.clear):
-        return []
-    others = [c for c in first.candidates if c.name not in names]
+    criteria, names = judge.criteria, model.estimate.active
+    ratio = first.rms(model) / max(first.noise**0.5, 1e-300)
+    others = [c for c in first.candidates if c.name not in names and c.model is not None]
     if not names:
-        return [Chosen(c.model, {c.name: 0.0}) for c in others if c.model][: criteria.beam]  # judged beside the other
-    possible = [(c, first.p_value(c)) for c in others]
+        tried = others if ratio > criteria.clear else []
+        return [Chosen(c.model, {c.name: 0.0}) for c in tried if c.model][: criteria.beam]  # judged beside the other
+    tried = others if ratio > criteria.above else _rivals(judge, first, model, others)
+    possible = [(c, first.p_value(c)) for c in tried]
     return [Chosen(c.model, {c.name: p}) for c, p in possible if c.model and p <= criteria.further][: criteria.beam]
+
+
+def _rivals(judge: Judge, first: Screening, model: Model, others: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates that alone close the gap as far as the model does, to within the share that deserves a name; none
+    where the model leaves nothing that an effect could explain."""
+    criteria, reached = judge.criteria, first.rms(model)
+    if reached - judge.noise <= criteria.exact * judge.gap:
+        return []
+    least = reached + criteria.share * judge.gap
+    return [c for c in others if judge.counts(first, c, {}) and first.rms(c.model) <= least]
 
 
 def _with_fewest_effects(judge: Judge, first: Screening, model: Model) -> Model:
