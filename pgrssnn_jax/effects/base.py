@@ -216,8 +216,7 @@ def _wrapped(effect: Effect, inner: Physics) -> Physics:
         return wrapped
 
     def assemble(points: Any) -> tuple[Any, Any]:
-        step, measure = known.assemble(points)
-        around = effect.wrap(inner._replace(step=step, measure=measure))
+        around = effect.wrap(extended(inner, points, known.assemble))
         return around.step, around.measure
 
     return wrapped._replace(extension=Extension(known.points, assemble, (wrapped.step, wrapped.measure)))

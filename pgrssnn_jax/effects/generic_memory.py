@@ -18,9 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Numbers, SignalRange, at_point
-from pgrssnn_jax.effects.memory import with_memory
+from pgrssnn_jax.effects.memory import memory_signals, remembered_inputs, with_memory
 from pgrssnn_jax.effects.places import VELOCITY, Place, acted_on, largest, largest_ways, points_of, states_of, unit_of
-from pgrssnn_jax.effects.sensors_actuators import memory_signals, remembered_inputs
 from pgrssnn_jax.physics.base import Measure, Parameter, Physics, Signal, Step, extended, extension_of
 from pgrssnn_jax.physics.signals import unit_of_all
 

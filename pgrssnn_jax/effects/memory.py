@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from pgrssnn_jax.effects.base import Needs
 from pgrssnn_jax.physics.base import Physics, Signal
 
 
@@ -48,3 +49,24 @@ def reads_input(physics: Physics) -> bool:
         if any(id(one) in reached for one in line.invars):
             reached |= {id(one) for one in line.outvars}
     return any(id(one) in reached for one in program.outvars)
+
+
+def memory_signals(physics: Physics, words: str, count: int) -> list[Signal]:
+    """Memory states of every input, oldest last."""
+    return [
+        Signal(f"{signal.name}_{words}{i + 1 if count > 1 else ''}", signal.unit, memory_of=signal.name)
+        for i in range(count)
+        for signal in physics.inputs
+    ]
+
+
+def of_inputs(n: int) -> tuple[int, ...]:
+    """The shape of one number per input; a number alone for a single input."""
+    return (n,) if n > 1 else ()
+
+
+def remembered_inputs(physics: Physics) -> Needs:
+    """The inputs that memory states are named after, in samples of the same length."""
+    names, dt = [signal.name for signal in physics.inputs], physics.dt
+    words = f"the input{'s' if len(names) > 1 else ''} {', '.join(names)} with dt={dt:g} s"
+    return Needs(words, lambda other: [s.name for s in other.inputs] == names and other.dt == dt)

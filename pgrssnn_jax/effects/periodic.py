@@ -16,8 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted
-from pgrssnn_jax.effects.memory import with_memory
-from pgrssnn_jax.effects.sensors_actuators import remembered_inputs
+from pgrssnn_jax.effects.memory import remembered_inputs, with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 from pgrssnn_jax.physics.signals import unit_of_all
 

@@ -16,11 +16,11 @@ import numpy as np
 
 from pgrssnn_jax.effects.base import Effect, Needs, Numbers, SignalRange, counted, on_input, on_output
 from pgrssnn_jax.effects.characteristic import sensor_nonlinearity
-from pgrssnn_jax.effects.memory import with_memory
+from pgrssnn_jax.effects.delay import input_delay
+from pgrssnn_jax.effects.memory import memory_signals, of_inputs, remembered_inputs, with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 from pgrssnn_jax.physics.signals import unit_of_all
 
-LONGEST_DELAY = 6  # samples that input_delay remembers
 _INFINITE = float("inf")
 
 Side = Literal["input", "output"]
@@ -65,13 +65,6 @@ def _per_channel(
         channels=side,
         **fields,
     )
-
-
-def remembered_inputs(physics: Physics) -> Needs:
-    """The inputs that memory states are named after, in samples of the same length."""
-    names, dt = [signal.name for signal in physics.inputs], physics.dt
-    words = f"the input{'s' if len(names) > 1 else ''} {', '.join(names)} with dt={dt:g} s"
-    return Needs(words, lambda other: [s.name for s in other.inputs] == names and other.dt == dt)
 
 
 def _spread(span: np.ndarray, share: float) -> np.ndarray:
@@ -165,60 +158,6 @@ def input_dead_zone(physics: Physics) -> Effect:
     )
 
 
-def memory_signals(physics: Physics, words: str, count: int) -> list[Signal]:
-    """Memory states of every input, oldest last."""
-    return [
-        Signal(f"{signal.name}_{words}{i + 1 if count > 1 else ''}", signal.unit, memory_of=signal.name)
-        for i in range(count)
-        for signal in physics.inputs
-    ]
-
-
-def input_delay(physics: Physics) -> Effect:
-    n, dt = len(physics.inputs), physics.dt
-
-    def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The parabola through the samples at, before and after t - d, for an input that changes within a sample: it is
-        late by d on average and no more spread out. A straight line between two samples spreads it by d (dt - d), and
-        that shows in a position as damping."""
-        kept = jnp.concatenate([u, past])
-        samples = kept.reshape(LONGEST_DELAY + 1, n)
-        lags, delay = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None], jnp.reshape(p["delay"], (1, n)) / dt
-        whole = jnp.floor(delay)
-        part, away = delay - whole, jnp.abs(lags - (whole + 1.0))
-        bend = 3.0 * jnp.maximum(1.0 - away, 0.0) + jnp.clip(away - 2.0, -1.0, 0.0)  # -1, 2, -1
-        weights = jnp.maximum(1.0 - jnp.abs(lags - delay), 0.0) + 0.5 * part * (1.0 - part) * bend
-        whole_gain = weights.sum(0)  # not 1 where the last of the three samples is forgotten
-        return (weights * samples).sum(0) / whole_gain, kept[: LONGEST_DELAY * n]
-
-    return Effect(
-        "input_delay",
-        title="Input delay",
-        equation="u'(t) = u(t - d)",
-        cause="transport, communication or computation takes time",
-        acts_on="input",
-        parameters={"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
-        shapes={"delay": _of_inputs(n)},
-        channels="input" if n > 1 else "",
-        initial_guesses=lambda span: [{"delay": dt * late} for late in _delays(n)],
-        wrap=lambda inner: with_memory(
-            inner, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance
-        ),
-        needs=remembered_inputs(physics),
-    )
-
-
-def _of_inputs(n: int) -> tuple[int, ...]:
-    """The shape of one number per input; a number alone for a single input."""
-    return (n,) if n > 1 else ()
-
-
-def _delays(n: int) -> list[np.ndarray]:
-    """Delays in samples at which fits begin: of all inputs, then of each of several alone."""
-    alone = [k * one for one in np.eye(n) for k in (1.5, 3.5)] if n > 1 else []
-    return [np.full(_of_inputs(n), k) for k in (0.5, 1.5, 2.5, 3.5, 5.0)] + alone
-
-
 def input_lag(physics: Physics) -> Effect:
     n, dt, memory = len(physics.inputs), physics.dt, memory_signals(physics, "lagged", 1)
 
@@ -238,9 +177,9 @@ def input_lag(physics: Physics) -> Effect:
         cause="the actuator follows its command with a first-order lag",
         acts_on="input",
         parameters={"time_constant": Parameter("τ", "s", bounds=(0.0, 50.0 * dt), neutral=0.0)},
-        shapes={"time_constant": _of_inputs(n)},
+        shapes={"time_constant": of_inputs(n)},
         channels="input" if n > 1 else "",
-        initial_guesses=lambda span: [{"time_constant": np.full(_of_inputs(n), k * dt)} for k in (1.0, 3.0, 8.0)],
+        initial_guesses=lambda span: [{"time_constant": np.full(of_inputs(n), k * dt)} for k in (1.0, 3.0, 8.0)],
         wrap=lambda inner: with_memory(inner, "input_lag", [s._replace(fit_initial=True) for s in memory], advance),
         needs=remembered_inputs(physics),
         simpler=("input_delay",),  # a lag below one sample is a delay

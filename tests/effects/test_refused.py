@@ -12,8 +12,9 @@ from pgrssnn_jax.effects.arm import arm_effects, gravity_direction, home_offset,
 from pgrssnn_jax.effects.arm_torques import torque_effects
 from pgrssnn_jax.effects.arm_wrist import wrist_coupling
 from pgrssnn_jax.effects.base import Effect, add
+from pgrssnn_jax.effects.delay import input_delay
 from pgrssnn_jax.effects.lgssm import feedthrough, quadratic_damping
-from pgrssnn_jax.effects.sensors_actuators import any_system_effects, input_delay
+from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.effects.systems import add_effect, catalogue
 from pgrssnn_jax.effects.tanks import leak_tank1, pump_effects, tank_effects
 from pgrssnn_jax.physics.arms.build import arm

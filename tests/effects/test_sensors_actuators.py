@@ -6,13 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from toys import TOY_PARAMS, quick_jit, toy_measure, toy_physics, toy_step
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.effects.base import add
-from pgrssnn_jax.effects.sensors_actuators import LONGEST_DELAY, any_system_effects
+from pgrssnn_jax.effects.delay import LONGEST_DELAY
+from pgrssnn_jax.effects.sensors_actuators import any_system_effects
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.simulate import free_run
 
@@ -107,16 +106,6 @@ def test_a_delay_of_whole_samples_moves_the_input(samples):
     np.testing.assert_allclose(found, plain(delayed(samples)), rtol=1e-12, atol=1e-14)
 
 
-@settings(max_examples=8, deadline=None)
-@given(whole=st.integers(0, LONGEST_DELAY - 2), part=st.floats(0.0, 1.0))
-def test_a_delay_between_samples_is_read_from_a_parabola(whole, part):
-    with jax.enable_x64(True):
-        found = outputs("input_delay", {"delay": [(whole + part) * DT] * 2}, memory=HELD)
-    straight = (1 - part) * delayed(whole) + part * delayed(whole + 1)
-    bent = delayed(whole) - 2 * delayed(whole + 1) + delayed(whole + 2)
-    np.testing.assert_allclose(found, plain(straight - part * (1 - part) / 2 * bent), rtol=1e-9, atol=1e-11)
-
-
 @pytest.mark.parametrize(("name", "number"), [("input_delay", "delay"), ("input_lag", "time_constant")])
 def test_every_input_has_a_delay_and_a_lag_of_its_own(name, number):
     """Of two inputs whose sum is measured, each as if it were alone."""
@@ -132,31 +121,6 @@ def test_every_input_has_a_delay_and_a_lag_of_its_own(name, number):
     assert np.abs(alone[0] + alone[1] - answered(1.3 * DT, 1.3 * DT, u)).max() > 0.1
     both = pg.add(two, name, **{number: 1.3 * DT})
     np.testing.assert_array_equal(both.params.effects[name][number], [1.3 * DT, 1.3 * DT], "one number is that of all")
-
-
-@pytest.mark.parametrize("delay", [0.5, 1.3, 3.7])
-def test_a_step_between_samples_moves_a_mass_as_much(delay):
-    """A mass under a force of 1 that sets in between two samples: position and velocity from then on, in samples.
-    A straight line between the samples would leave the position off by part (1 - part) / 2."""
-    mass = pg.continuous(
-        "mass",
-        lambda p, x, u: jnp.stack([x[1], u[0]]),
-        lambda p, x, u: x,
-        {},
-        parameters={},
-        states=(pg.Signal("q"), pg.Signal("v", rate_of="q")),
-        inputs=(pg.Signal("f"),),
-        outputs=(pg.Signal("q"), pg.Signal("v")),
-        dt=1.0,
-    )
-    late = pg.add(mass, "input_delay", delay=delay)
-    step = quick_jit(late.step)
-    x = np.zeros(2 + LONGEST_DELAY)
-    with jax.enable_x64(True):
-        for t in range(1, 13):
-            x = np.asarray(step(late.params, jnp.asarray(x), jnp.ones(1)))
-            if t >= delay + 3:
-                np.testing.assert_allclose(x[:2], [(t - delay) ** 2 / 2, t - delay], rtol=1e-12)
 
 
 @pytest.mark.parametrize("samples", [0.3, 2.0, 15.0])

@@ -1,0 +1,110 @@
+"""An input that is late, exactly between two samples too: it changes within a sample, and is held before and after.
+
+    u'(t) = u_{k-j-1} for the first part s of a sample, then u_{k-j}        d = (j + s) dt
+
+A step holds one input over a sample. It takes the mean, u_{k-j} + s δ with δ = u_{k-j-1} - u_{k-j}, and what δ does
+earlier than the mean it does as two impulses, at the ends of the sample:
+
+    x_k = step(x_{k-1} + a, mean) - a        a = dt ∂f/∂u  s (1 - s) δ / 2        dx/dt = f(x, u)
+
+Area and first moment of the input over the sample are exact; of the second moment (1 - 2s) / 6 of that of the impulses
+are missing.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from pgrssnn_jax.effects.base import Effect
+from pgrssnn_jax.effects.memory import memory_signals, of_inputs, remembered_inputs, with_memory
+from pgrssnn_jax.effects.places import points_of
+from pgrssnn_jax.physics.base import Parameter, Physics, Step, extension_of
+
+LONGEST_DELAY = 6  # samples that input_delay remembers
+
+
+def input_delay(physics: Physics) -> Effect:
+    n, dt = len(physics.inputs), physics.dt
+    return Effect(
+        "input_delay",
+        title="Input delay",
+        equation="u'(t) = u(t - d)",
+        cause="transport, communication or computation takes time",
+        acts_on="input",
+        parameters={"delay": Parameter("d", "s", bounds=(0.0, LONGEST_DELAY * dt), neutral=0.0)},
+        shapes={"delay": of_inputs(n)},
+        channels="input" if n > 1 else "",
+        initial_guesses=lambda span: [{"delay": dt * late} for late in _delays(n)],
+        wrap=late,
+        needs=remembered_inputs(physics),
+    )
+
+
+def late(physics: Physics) -> Physics:
+    """The physics behind the delay."""
+    n, states = len(physics.inputs), len(physics.states)
+    kept, change = LONGEST_DELAY * n, _change(physics)
+
+    def parts(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Mean over the sample, and s (1 - s) δ / 2."""
+        samples = jnp.concatenate([u, past]).reshape(LONGEST_DELAY + 1, n)
+        lags = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None]
+        delay = jnp.reshape(p["delay"], (1, n)) / physics.dt
+        whole = jnp.floor(delay)
+        part = delay - whole
+        older, newer = ((jnp.where(lags == at, samples, 0.0)).sum(0) for at in (whole + 1.0, whole))
+        return newer + part[0] * (older - newer), 0.5 * (part * (1.0 - part))[0] * (older - newer)
+
+    def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return parts(p, past, u)[0], jnp.concatenate([u, past])[:kept]
+
+    held = with_memory(physics, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance)
+
+    def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+        own, memory = x[:states], x[states:]
+        mean, earlier = parts(p.effects["input_delay"], memory[:kept], u)
+        impulse = change(p, own, mean + earlier) - change(p, own, mean)
+        x = held.step(p, jnp.concatenate([own + impulse, memory]), u)
+        return jnp.concatenate([x[:states] - impulse, x[states:]])
+
+    return held._replace(step=step)
+
+
+class _Reached(Exception):
+    """The derivative is known, and no more of the step is needed."""
+
+    def __init__(self, value: jax.Array) -> None:
+        self.value = value
+
+
+def _change(physics: Physics) -> Step:
+    """dt dx/dt of (p, x, u), zero for what effects remember; for a physics that has only steps, its step.
+
+    Effects around the step change an input on its way to the derivative. What they do to the state afterwards is left
+    out: this takes a fraction of the time of a step."""
+    known, points = extension_of(physics), points_of(physics)
+    if known is None or points is None:
+        return physics.step
+
+    def reached(p: Any, field: Callable[[jax.Array], jax.Array], x: jax.Array, u: jax.Array) -> jax.Array:
+        raise _Reached(physics.dt * field(x))
+
+    step, _ = known.assemble(points._replace(advance=reached, sub_steps=1))
+
+    def change(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
+        try:
+            return step(p, x, u)
+        except _Reached as found:
+            return jnp.zeros_like(x).at[: len(found.value)].set(found.value)
+
+    return change
+
+
+def _delays(n: int) -> list[Float[np.ndarray, "*input"]]:
+    """Delays in samples at which fits begin: of all inputs, then of each of several alone."""
+    alone = [k * one for one in np.eye(n) for k in (1.5, 3.5)] if n > 1 else []
+    return [np.full(of_inputs(n), k) for k in (0.5, 1.5, 2.5, 3.5, 5.0)] + alone
