@@ -56,8 +56,7 @@ def judge(
     unnamed = _unnamed(selection, nameless, criteria)
     active = [name for name in selection.final.estimate.active if name != convention]
     alternatives = {name: _alternatives(problem, selection.screenings[name], name, criteria) for name in active}
-    unknown = unnamed is not None or nameless.line is not None
-    if unknown or (not active and _dependent(nameless, criteria)):
+    if unnamed is not None or nameless.line is not None or _dependent(nameless, criteria):
         verdict = Verdict.UNKNOWN_EFFECT
     elif active:
         verdict = Verdict.AMBIGUOUS if any(alternatives.values()) else Verdict.EFFECT_FOUND

@@ -204,10 +204,12 @@ def test_a_spectral_line_is_unknown(problem):
         (None, Follows(0.6, 0.005), Verdict.UNKNOWN_EFFECT),
         (None, Follows(0.6, 0.05), Verdict.UNEXPLAINED),  # noise of the same colour seems to as well
         (None, Follows(0.05, 0.005), Verdict.UNEXPLAINED),  # nearly all of it is noise in the system
-        (49.0, Follows(0.6, 0.005), Verdict.EFFECT_FOUND),  # the test record says whether names explain enough
+        (49.0, Follows(0.6, 0.005), Verdict.UNKNOWN_EFFECT),  # the names are a help
+        (49.0, Follows(0.6, 0.05), Verdict.EFFECT_FOUND),
+        (49.0, None, Verdict.EFFECT_FOUND),  # near the noise nobody asks
     ],
 )
-def test_errors_that_follow_the_signals_are_unknown_where_nothing_is_named(problem, named, follows, expected):
+def test_errors_that_follow_the_signals_are_unknown_also_beside_names(problem, named, follows, expected):
     assert judged(problem, 100.0, named, follows=follows).verdict is expected
 
 
