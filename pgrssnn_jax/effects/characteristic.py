@@ -58,7 +58,7 @@ def sensor_nonlinearity(physics: Physics) -> Effect:
         channels="output, point",
         simpler=("sensor_offset", "sensor_gain", "sensor_saturation"),
         elaborate=True,
-        credible=lambda numbers, span: _bends(np.asarray(numbers["deviation"])),
+        credible=lambda numbers, span: _bends(np.asarray(numbers["deviation"])) and _within_range(numbers),
     )
 
 
@@ -82,3 +82,9 @@ def _bends(deviation: Float[np.ndarray, "y m"]) -> bool:
     line = np.stack([np.ones(POINTS), _PART], 1)
     left = deviation.T - line @ np.linalg.lstsq(line, deviation.T, rcond=None)[0]
     return bool((left**2).sum() > _STRAIGHT**2 * (deviation**2).sum())
+
+
+def _within_range(numbers: Numbers) -> bool:
+    """Is no reading wrong by more than its whole range? A point that no sample is near may lie anywhere."""
+    deviation, low, high = (np.asarray(numbers[name]) for name in ("deviation", "low", "high"))
+    return bool((np.abs(deviation) <= (high - low)[:, None]).all())

@@ -73,6 +73,14 @@ def believed(effect: Effect, deviation: np.ndarray) -> bool:
     return effect.credible({"deviation": deviation, "low": LOW, "high": HIGH}, SignalRange(none, none, none))
 
 
+def test_no_reading_is_wrong_by_more_than_its_range():
+    """A point that no sample is near may lie anywhere."""
+    effect, part = sensor_nonlinearity(two_outputs()), np.linspace(0.0, 1.0, POINTS)
+    for share, expected in ((0.3, True), (1e6, False)):
+        deviation = np.stack([4.0 * share * (HIGH[0] - LOW[0]) * part * (1.0 - part), 0.0 * part])
+        assert believed(effect, deviation) is expected
+
+
 def test_a_straight_line_is_an_offset_or_a_gain():
     effect, part = sensor_nonlinearity(two_outputs()), np.linspace(0.0, 1.0, POINTS)
     straight = np.stack([0.7 + 0.0 * part, 0.3 - 0.5 * part])
