@@ -43,14 +43,16 @@ def _verdict(
     unit = f" {gap['unit']}" if gap["unit"] else ""
     before, fitted, after = (gap[name]["test"] for name in ("before", "recalibrated", "after"))
     verdict = found.judgement.verdict
-    errors = f"test {gap['metric']} {before:.3g}{unit} nominal, {fitted:.3g}{unit} recalibrated"
+    errors, timing = f"test {gap['metric']} {before:.3g}{unit} nominal, {fitted:.3g}{unit} recalibrated", ""
     if found.convention is not None and not effects:
-        errors += f", {after:.3g}{unit} with outputs that are read before the inputs act, one sample earlier"
-    if verdict is Verdict.NO_DISCREPANCY:
-        return f"Nothing is missing: {errors}, noise about {gap['floor']:.3g}{unit}."
-    if verdict is Verdict.MISCALIBRATED:
+        errors += f", {after:.3g}{unit} with that reading"
+        timing = "Outputs are read before the inputs act, one sample earlier. Beside that, "
+    if verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED):
         refuted = ", but the test record refutes the new ones" if found.test.improvement[1] < 0.0 else ""
-        return f"Only parameters were wrong{refuted}: {errors}, noise about {gap['floor']:.3g}{unit}."
+        nothing = verdict is Verdict.NO_DISCREPANCY
+        answer = "nothing is missing" if nothing else f"only parameters were wrong{refuted}"
+        answer = timing + answer if timing else answer.capitalize()
+        return f"{answer}: {errors}, noise about {gap['floor']:.3g}{unit}."
     titles = " and ".join(map(_title, effects))
     helped = f", {after:.3g}{unit} with {titles}, which helps but does not explain it" if effects else ""
     if found.refuted:
@@ -64,7 +66,8 @@ def _verdict(
         one = f"a correction without a name ({', '.join(found.refuted)})"
         return f"Found on the estimation record, not confirmed by the test record: {one}; {errors}."
     if verdict is Verdict.NOT_CONFIRMED:
-        return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}."
+        worse = "" if found.test.relative < 1.0 else ", no better than the mean of the test record"
+        return f"Found on the estimation record, not confirmed by the test record: {titles}; {closed}{worse}."
     left = f"{share:.0f} % of the gap above the noise closed, {100 - share:.0f} % open"
     missing = "Missing" if share >= 100 * EXPLAINED else "Missing, but most of the gap stays open"
     if verdict is Verdict.AMBIGUOUS:

@@ -25,6 +25,8 @@ def said(
     verdict: Verdict = Verdict.EFFECT_FOUND,
     others: Sequence = (),
     improvement: tuple[float, float] = (0.1, 0.2),
+    relative: float = 0.5,
+    convention: str | None = None,
 ) -> str:
     error = np.random.default_rng(0).standard_normal((1, 200, 1))
     selection = SimpleNamespace(
@@ -32,12 +34,17 @@ def said(
         floor=1.0,
         final=SimpleNamespace(estimate=SimpleNamespace(error=error, active=("input_offset",))),
     )
-    test = SimpleNamespace(improvement=improvement)
-    told = {"judgement": SimpleNamespace(verdict=verdict), "selection": selection, "test": test}  # the rest: nothing
+    test = SimpleNamespace(improvement=improvement, relative=relative)
+    told = {
+        "judgement": SimpleNamespace(verdict=verdict),
+        "selection": selection,
+        "test": test,
+        "convention": convention,
+    }
     found = Discovery._make(told.get(name) for name in Discovery._fields)
     errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
     gap = {**errors, "metric": "RMSE", "unit": "K", "floor": 0.1, "closed_fraction": closed}
-    return sentence(found, gap, [OFFSET | {"acts_at": at}], others, [], "everywhere alike")
+    return sentence(found, gap, [OFFSET | {"acts_at": at}] if at else [], others, [], "everywhere alike")
 
 
 @pytest.mark.parametrize(("closed", "begins"), [(0.9, "Missing: "), (0.2, "Missing, but most of the gap stays open: ")])
@@ -74,3 +81,21 @@ def test_channels_are_named_where_there_are_others():
 def test_a_recalibration_that_does_harm_on_the_test_record_is_told(improvement, begins):
     """A pendulum that turns over in the test record, and not in the other one."""
     assert said(0.0, ["heat1"], Verdict.MISCALIBRATED, improvement=improvement).startswith(begins)
+
+
+@pytest.mark.parametrize(("relative", "told"), [(0.9, False), (40.0, True), (float("nan"), True)])
+def test_a_model_that_is_no_better_than_the_mean_is_told(relative, told):
+    """One that leaves its range in the test record has an error of any size, or none."""
+    found = said(0.0, ["heat1"], Verdict.NOT_CONFIRMED, relative=relative)
+    assert found.startswith("Found on the estimation record, not confirmed by the test record: input offset (heat1); ")
+    assert ("1 K with it, no better than the mean of the test record." in found) is told
+
+
+@pytest.mark.parametrize(
+    ("verdict", "rest"),
+    [(Verdict.MISCALIBRATED, "only parameters were wrong: "), (Verdict.NO_DISCREPANCY, "nothing is missing: ")],
+)
+def test_a_reading_convention_comes_first(verdict, rest):
+    found = said(0.0, [], verdict, convention="input_delay")
+    assert found.startswith(f"Outputs are read before the inputs act, one sample earlier. Beside that, {rest}")
+    assert ", 1 K with that reading, noise about 0.1 K." in found
