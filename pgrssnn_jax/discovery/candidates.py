@@ -129,7 +129,7 @@ def score_candidates(
     done = {c.name for c in known}
     guesses = [guess for guess in guesses if guess.active[-1] not in done]
     rough = fit_all(problem, signals, guesses, settings.roughly)
-    rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active[-1], g.theta, span)]
+    rough = [(g, low) for g, low in rough if np.isfinite(low) and problem.credible(g.active, g.theta, span)]
     rough.sort(key=lambda found: found[1])
     few = [*known, *(Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough))]
     few.sort(key=lambda c: -c.gain)
@@ -138,7 +138,7 @@ def score_candidates(
     hopeful = clear or any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
     fitted = _fitted(problem, signals, _finalists(rough, criteria.finalists), settings, criteria) if hopeful else []
     found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]
-    found = [c for c in found if problem.credible(c.name, c.guess.theta, span)]
+    found = [c for c in found if problem.credible(c.guess.active, c.guess.theta, span)]
     found += [c for c in few if c.name not in {other.name for other in found}]
     models = [*(model for model, _ in fitted), *(c.model for c in known if c.model)]
     noise = white_noise(signals, [base, *models])
@@ -188,7 +188,7 @@ def settled(
     done = {
         c.name: Candidate(c.name, _gain(problem, signals, screening.base, low), model.estimate.guess, model)
         for (c, _), (_, low), model in zip(begun, fits, models, strict=True)
-        if problem.credible(c.name, model.estimate.theta, span)
+        if problem.credible(model.estimate.active, model.estimate.theta, span)
     }
     return screening._replace(candidates=ranked([done.get(c.name, c) for c in screening.candidates]))
 

@@ -23,7 +23,7 @@ from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.candidates import Model, fitted_models, moved
 from pgrssnn_jax.discovery.channels import with_fewest_channels
 from pgrssnn_jax.discovery.deviations import deviations
-from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all
+from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all, signal_range_of
 from pgrssnn_jax.discovery.linearise import linearised
 from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.optimism import optimism
@@ -109,15 +109,19 @@ def final_numbers(
 def most_likely(
     problem: Problem, signals: Signals, guess: Guess, tolerance: float, settings: Settings, *, remembering: bool = True
 ) -> tuple[Problem, Guess]:
-    """The minimum above, and the problem whose prior has that weight; remembering: False for τ = 1."""
-    settings = settings._replace(steps=max(settings.steps, _STEPS))
+    """The minimum above, and the problem whose prior has that weight; remembering: False for τ = 1. Numbers of effects
+    stay where they would no longer be credible."""
+    settings, span = settings._replace(steps=max(settings.steps, _STEPS)), signal_range_of(problem, signals, guess)
     for _ in range(_ROUNDS):
         now = evaluate(problem, signals, guess)
         variance = now.cost / signals.size * (longest_memory(now.error) if remembering else 1.0)
         if abs(variance - problem.noise) <= _SAME * problem.noise:
             break
-        problem = problem.held(tolerance, variance)
-        ((guess, _),) = fit_all(problem, signals, [guess], settings)
+        held = problem.held(tolerance, variance)
+        ((fitted, _),) = fit_all(held, signals, [guess], settings)
+        if not problem.credible(fitted.active, fitted.theta, span):
+            break
+        problem, guess = held, fitted
     return problem, guess
 
 

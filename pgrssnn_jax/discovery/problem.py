@@ -113,10 +113,11 @@ class Problem:
                     begun[:, i] = guesses[state.name][k % len(guesses[state.name])]
         return found
 
-    def credible(self, effect: str, theta: np.ndarray, span: SignalRange) -> bool:
-        """Are the numbers of an effect, beside the range of the data?"""
-        rule = self.effect(effect).credible
-        return rule is None or rule(self.params(theta).effects[effect], span)
+    def credible(self, effects: Sequence[str], theta: np.ndarray, span: SignalRange) -> bool:
+        """Are the numbers of effects, beside the range of the data?"""
+        rules = {name: rule for name in effects if (rule := self.effect(name).credible) is not None}
+        numbers = self.params(theta).effects if rules else {}
+        return all(rule(numbers[name], span) for name, rule in rules.items())
 
     def params(self, theta: np.ndarray) -> Any:
         """θ as params of `full`, in NumPy."""

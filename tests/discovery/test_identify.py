@@ -12,6 +12,7 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings
 from pgrssnn_jax.discovery.identify import departures, most_likely, undetermined
 from pgrssnn_jax.discovery.noise import longest_memory
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, weighted_signals
+from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
 
 SAMPLES, TOLERANCE = 300, 0.1
@@ -103,3 +104,18 @@ def test_without_a_prior_nothing_departs(problem):
     assert departures(problem, model) == []
     with jax.enable_x64(True):
         assert undetermined(problem, signals, model.estimate.guess, SETTINGS) == []
+
+
+@pytest.mark.parametrize("largest", [0.5, np.inf])
+def test_numbers_of_an_effect_stay_where_they_would_not_be_credible(largest):
+    """A disturbance leaves the weight of the prior far from what the search took; the numbers are fitted again."""
+    physics = lgssm(A=[[0.8]], B=[[1.0]], C=[[1.0]], inputs=["u0"], outputs=["y0"])
+    offset = next(effect for effect in catalogue(physics) if effect.name == "sensor_offset")
+    rule = offset._replace(credible=lambda numbers, span: bool(np.abs(numbers["offset"]).max() <= largest))
+    problem = build_problem(physics, (rule,))
+    signals = signals_of(problem, 2.0, disturbance=1.0)
+    signals = signals._replace(y=signals.y + 3.0)
+    begun = Guess(("sensor_offset",), problem.theta, signals.start)
+    _, guess = most_likely(problem.held(TOLERANCE, 1e-9), signals, begun, TOLERANCE, SETTINGS)
+    moved = guess.theta[problem.of("sensor_offset")]
+    assert (np.abs(moved - 3.0) < 1.0).all() if largest > 3.0 else (moved == 0.0).all()
