@@ -7,8 +7,8 @@ earlier than the mean it does as two impulses, at the ends of the sample:
 
     x_k = step(x_{k-1} + a, mean) - a        a = dt ∂f/∂u  s (1 - s) δ / 2        dx/dt = f(x, u)
 
-Area and first moment of the input over the sample are exact; of the second moment (1 - 2s) / 6 of that of the impulses
-are missing.
+Area and first moment of the input over the sample are exact. The second moment lacks (1 - 2s) / 3 of what the impulses
+have.
 """
 
 from collections.abc import Callable
@@ -56,7 +56,7 @@ def late(physics: Physics) -> Physics:
         delay = jnp.reshape(p["delay"], (1, n)) / physics.dt
         whole = jnp.floor(delay)
         part = delay - whole
-        older, newer = ((jnp.where(lags == at, samples, 0.0)).sum(0) for at in (whole + 1.0, whole))
+        older, newer = (jnp.where(lags == at, samples, 0.0).sum(0) for at in (whole + 1.0, whole))
         return newer + part[0] * (older - newer), 0.5 * (part * (1.0 - part))[0] * (older - newer)
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:

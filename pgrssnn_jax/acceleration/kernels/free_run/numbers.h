@@ -32,25 +32,25 @@ OF_ONE(erf) OF_ONE(erfc) OF_ONE(exp2) OF_ONE(expm1) OF_ONE(floor) OF_ONE(log1p) 
 OF_ONE(sqrt) OF_ONE(tan) OF_ONE(tanh) OF_TWO(atan2) OF_TWO(fmod)
 
 // The vector functions of glibc take all lanes at once, to 4 units in the last place.
-#if defined(__x86_64__) && defined(__GLIBC__) && __GLIBC_PREREQ(2, 22) && (defined(__AVX512F__) || defined(__AVX2__))
+#if defined(__GLIBC__) && defined(__x86_64__) && defined(__AVX2__)
+#if __GLIBC_PREREQ(2, 22)
 #ifdef __AVX512F__
-#define GLIBC(kind, name) _ZGVeN8##kind##_##name
+#define OF_GLIBC(kind, name) _ZGVeN8##kind##_##name
 #else
-#define GLIBC(kind, name) _ZGVdN4##kind##_##name
+#define OF_GLIBC(kind, name) _ZGVdN4##kind##_##name
 #endif
-extern "C" {
-Vector GLIBC(v, cos)(Vector);
-Vector GLIBC(v, exp)(Vector);
-Vector GLIBC(v, log)(Vector);
-Vector GLIBC(v, sin)(Vector);
-Vector GLIBC(vv, pow)(Vector, Vector);
-}
-inline Vector cos(Vector a) { return GLIBC(v, cos)(a); }
-inline Vector exp(Vector a) { return GLIBC(v, exp)(a); }
-inline Vector log(Vector a) { return GLIBC(v, log)(a); }
-inline Vector sin(Vector a) { return GLIBC(v, sin)(a); }
-inline Vector pow(Vector a, Vector b) { return GLIBC(vv, pow)(a, b); }
-#undef GLIBC
+#endif
+#endif
+
+#ifdef OF_GLIBC
+#define OF_ALL(name) \
+  extern "C" Vector OF_GLIBC(v, name)(Vector); \
+  inline Vector name(Vector a) { return OF_GLIBC(v, name)(a); }
+OF_ALL(cos) OF_ALL(exp) OF_ALL(log) OF_ALL(sin)
+extern "C" Vector OF_GLIBC(vv, pow)(Vector, Vector);
+inline Vector pow(Vector a, Vector b) { return OF_GLIBC(vv, pow)(a, b); }
+#undef OF_ALL
+#undef OF_GLIBC
 #else
 OF_ONE(cos) OF_ONE(exp) OF_ONE(log) OF_ONE(sin) OF_TWO(pow)
 #endif
