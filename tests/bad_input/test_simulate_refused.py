@@ -183,6 +183,7 @@ OF_MEMBERS = {
     ),
     "a run without its sequences": (lambda e: rolled(e, U), "rollout: u: expected [sequence, time, 1]"),
     "a run of two channels": (lambda e: rolled(e, np.zeros((1, 5, 2))), "rollout: u: expected [sequence, time, 1]"),
+    "a run of no channel": (lambda e: rolled(e, np.zeros((1, 5, 0))), "rollout: u: expected [sequence, time, 1]"),
     "a run of no sample": (lambda e: rolled(e, U[None, :0]), "rollout: u: expected [sequence, time, 1]"),
     "a run from three states": (lambda e: rolled(e, x0=np.zeros((1, 3))), "rollout: x0: expected shape (1, 2), found"),
     "a run from two starts": (lambda e: rolled(e, x0=np.zeros((2, 2))), "rollout: x0: expected shape (1, 2), found"),

@@ -20,6 +20,6 @@ def test_a_count_may_be_its_least_and_no_less(name, least):
 @pytest.mark.parametrize("name", ["p_value", "share"])
 def test_a_share_lies_between_none_and_all(name):
     assert getattr(DiscoverySettings(**{name: 0.5}), name) == 0.5
-    for wrong in (0.0, 1.0):
+    for wrong in (-0.1, 0.0, 1.0):
         with pytest.raises(ValueError, match=f"discovery.{name}: expected a number between 0 and 1, found {wrong:g}$"):
             DiscoverySettings(**{name: wrong})

@@ -8,6 +8,7 @@ import pytest
 from arm_cases import DT, NUMBERS, SPEED, effect, mapped, samples
 from toys import quick_jit
 
+import pgrssnn_jax as pg
 from pgrssnn_jax.effects.base import SignalRange, add
 from pgrssnn_jax.physics.arms.build import arm
 from pgrssnn_jax.physics.arms.tables import described, pinocchio_model
@@ -195,3 +196,8 @@ def test_a_counterbalance_is_looked_for_among_torques_that_the_motor_has_to_hold
     span = SignalRange(np.zeros((2, 12)), np.array([-most, most]), np.zeros((2, 6)))
     for start in effect("gravity_counterbalance").guesses(span):
         assert 0.05 * gear[1] * most[1] <= start["moment"] <= gear[1] * most[1]
+
+
+def test_friction_drives_no_joint():
+    with pytest.raises(ValueError, match=r"load_friction\.mu: expected 0 to 0.9 , found"):
+        pg.add(EULER, "load_friction", mu=-0.1)

@@ -176,3 +176,13 @@ def test_saturations_act_where_a_signal_is_beyond_its_limits():
             wide = np.concatenate([x, U], 1)  # memory states of other effects lie behind
             acting = one.active({"low": np.array([-0.1, -0.5]), "high": np.array([0.5, 0.6])}, wide, U)
             np.testing.assert_array_equal(acting, ((y < [-0.1, -0.5]) | (y > [0.5, 0.6])).any(1))
+
+
+def test_titles_say_the_side_on_which_an_effect_acts():
+    titles = {effect.name: effect.title for effect in any_system_effects(toy_physics("after_step"))}
+    assert titles["input_gain"] == "Input gain"
+    assert titles["sensor_gain"] == "Sensor gain"
+    assert {name: title.split()[0] for name, title in titles.items() if name.endswith("_offset")} == {
+        "input_offset": "Input",
+        "sensor_offset": "Sensor",
+    }

@@ -86,6 +86,14 @@ def test_gradients_pass_from_chunk_to_chunk(key):
         np.testing.assert_allclose(a, b, rtol=2e-4, atol=2e-5 * max(1.0, np.abs(a).max()))
 
 
+def test_a_chunk_may_be_one_sample(key):
+    model = toy_model(SPECS["physics"])
+    params, signals = toy_params(model, key), toy_signals()
+    np.testing.assert_allclose(
+        rollout(model, params, *signals, chunk=1).y, rollout(model, params, *signals).y, rtol=1e-5
+    )
+
+
 @pytest.mark.parametrize(("how", "said"), [
     ({"chunk": 0}, "rollout: chunk: expected at least 1 sample, 'auto' or None, found 0"),
     ({"devices": 9}, "rollout: devices: expected 1 to 2, found 9"),
