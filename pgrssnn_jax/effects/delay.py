@@ -2,13 +2,15 @@
 
     u'(t) = u_{k-j-1} for the first part s of a sample, then u_{k-j}        d = (j + s) dt
 
-A step holds one input over a sample. It takes the mean, u_{k-j} + s δ with δ = u_{k-j-1} - u_{k-j}, and what δ does
-earlier than the mean it does as two impulses, at the ends of the sample:
+A step holds one input over a sample. It takes the mean, and two impulses at the ends of the sample give what the mean
+does not:
 
-    x_k = step(x_{k-1} + a, mean) - a        a = dt ∂f/∂u  s (1 - s) δ / 2        dx/dt = f(x, u)
+    x_k = step(x_{k-1} + a + e / 2, mean) - a + e / 2        c(u) = dt f(x, u),  dx/dt = f(x, u)
+    a = s (1 - s) / 2 (c(u_{k-j-1}) - c(u_{k-j}))            what acts early
+    e = s c(u_{k-j-1}) + (1 - s) c(u_{k-j}) - c(mean)        a dead zone or a range between the delay and the plant
 
-Area and first moment of the input over the sample are exact. The second moment lacks (1 - 2s) / 3 of what the impulses
-have.
+Area and first moment of what acts over the sample are exact. The second moment lacks (1 - 2s) / 3 of what the impulses
+a have. Each of several inputs has impulses of its own, beside the means of the others.
 """
 
 from collections.abc import Callable
@@ -49,27 +51,32 @@ def late(physics: Physics) -> Physics:
     n, states = len(physics.inputs), len(physics.states)
     kept, change = LONGEST_DELAY * n, _change(physics)
 
-    def parts(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Mean over the sample, and s (1 - s) δ / 2."""
+    def parts(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Older and newer input, and s."""
         samples = jnp.concatenate([u, past]).reshape(LONGEST_DELAY + 1, n)
         lags = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None]
         delay = jnp.reshape(p["delay"], (1, n)) / physics.dt
         whole = jnp.floor(delay)
-        part = delay - whole
         older, newer = (jnp.where(lags == at, samples, 0.0).sum(0) for at in (whole + 1.0, whole))
-        return newer + part[0] * (older - newer), 0.5 * (part * (1.0 - part))[0] * (older - newer)
+        return older, newer, (delay - whole)[0]
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return parts(p, past, u)[0], jnp.concatenate([u, past])[:kept]
+        older, newer, part = parts(p, past, u)
+        return newer + part * (older - newer), jnp.concatenate([u, past])[:kept]
 
     held = with_memory(physics, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance)
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         own, memory = x[:states], x[states:]
-        mean, earlier = parts(p.effects["input_delay"], memory[:kept], u)
-        impulse = change(p, own, mean + earlier) - change(p, own, mean)
-        x = held.step(p, jnp.concatenate([own + impulse, memory]), u)
-        return jnp.concatenate([x[:states] - impulse, x[states:]])
+        older, newer, part = parts(p.effects["input_delay"], memory[:kept], u)
+        mean = newer + part * (older - newer)
+        between, begin, end = change(p, own, mean), own, jnp.zeros_like(own)
+        for i, s in enumerate(part):
+            old, new = (change(p, own, mean.at[i].set(one[i])) for one in (older, newer))
+            early, rest = 0.5 * s * (1.0 - s) * (old - new), new + s * (old - new) - between
+            begin, end = begin + early + 0.5 * rest, end - early + 0.5 * rest
+        x = held.step(p, jnp.concatenate([begin, memory]), u)
+        return jnp.concatenate([x[:states] + end, x[states:]])
 
     return held._replace(step=step)
 

@@ -43,9 +43,10 @@ def held(dt: float, time: float = 24.0) -> np.ndarray:
     return levels[(np.arange(round(time / dt)) * dt / 2.0 + 1e-9).astype(int)]
 
 
-def exact(u: np.ndarray, dt: float, delay: float) -> np.ndarray:
-    """States `[sample, 2]` of the plant behind the delay in s, from one change of its input to the next; at rest, with
-    no input before the record."""
+def exact(u: np.ndarray, dt: float, delay: float, dead: float = 0.0) -> np.ndarray:
+    """States `[sample, 2]` of the plant behind the delay in s and a dead zone, from one change of its input to the
+    next; at rest, with no input before the record."""
+    u = np.sign(u) * np.maximum(np.abs(u) - dead, 0.0)
     x, found, changes = np.zeros(2), [], np.arange(len(u)) * dt + delay
     for k in range(len(u)):
         inside = changes[(changes > k * dt + 1e-12) & (changes < (k + 1) * dt - 1e-12)]
@@ -78,6 +79,36 @@ def test_a_delay_between_samples_is_that_of_an_input_which_is_held(part):
     assert errors[0] < 0.1 * mixed[0]
     assert errors[1] < errors[0] / 5.0
     assert errors[1] < 0.06 * mixed[1]
+
+
+def test_a_dead_zone_behind_the_delay_sees_both_inputs():
+    """Not their mean, which may lie inside of it."""
+    dt, u = 0.25, held(0.25)
+    numbers = {"input_dead_zone": {"width": 0.4}, "input_delay": {"delay": 1.5 * dt}}
+    physics = plant(dt)
+    for name, of_effect in numbers.items():
+        physics = pg.add(physics, name, **of_effect)
+    truth = exact(u, dt, 1.5 * dt, dead=0.4)
+    between = 0.5 * np.concatenate([[0.0, 0.0], u])[: len(u)] + 0.5 * np.concatenate([[0.0], u])[: len(u)]
+    mixed = simulated(pg.add(plant(dt), "input_dead_zone", width=0.4), between)
+    assert np.abs(simulated(physics, u) - truth).max() < 0.1 * np.abs(mixed - truth).max()
+
+
+def test_every_input_changes_at_its_own_time():
+    """Of two vessels with an input each, which are one vessel twice."""
+    dt, u, delays = 0.25, held(0.25), (1.3 * 0.25, 2.6 * 0.25)
+
+    def rate(p, x, u):
+        return jnp.stack([GAIN * u[i] - x[i] - 0.3 * x[i] ** 3 for i in (0, 1)])
+
+    signals = {kind: tuple(pg.Signal(f"{kind}{i}") for i in (1, 2)) for kind in ("states", "inputs", "outputs")}
+    both = pg.continuous("pair", rate, lambda p, x, u: x, {}, parameters={}, dt=dt, sub_steps=4, **signals)
+    late = pg.add(both, "input_delay", delay=list(delays))
+    start = np.zeros((1, len(late.states)))
+    found = np.asarray(free_run(late, np.stack([u, u], -1)[None], start)[0])[0]
+    for i, delay in enumerate(delays):
+        alone = simulated(pg.add(plant(dt), "input_delay", delay=delay), u)
+        np.testing.assert_allclose(found[:, i], alone[:, 0], rtol=1e-10, atol=1e-12)
 
 
 def test_what_an_input_passes_on_its_way_acts_on_its_early_part_too():
@@ -118,10 +149,12 @@ def test_a_physics_of_steps_has_the_impulses_of_its_own_slope(whole, part):
         for k in range(len(u)):
             whole_x = advance(late.params, whole_x, jnp.asarray(u[k]))
             newer, older = past[k + LONGEST_DELAY + 1 - whole], past[k + LONGEST_DELAY - whole]
-            mean, early = newer + part * (older - newer), part * (1 - part) / 2 * (older - newer)
-            tiny = 1e-6
-            a = (step(TOY_PARAMS, x, mean + tiny * early) - step(TOY_PARAMS, x, mean - tiny * early)) / (2 * tiny)
-            x = step(TOY_PARAMS, x + a, mean) - a
+            mean, a, e = newer + part * (older - newer), 0.0, 0.0
+            for i in (0, 1):
+                old, new = (step(TOY_PARAMS, x, np.where(np.arange(2) == i, one, mean)) for one in (older, newer))
+                a = a + part * (1 - part) / 2 * (old - new)
+                e = e + part * old + (1 - part) * new - step(TOY_PARAMS, x, mean)
+            x = step(TOY_PARAMS, x + a + e / 2, mean) - a + e / 2
     np.testing.assert_allclose(np.asarray(whole_x)[:3], x, rtol=1e-7, atol=1e-8)
 
 
