@@ -38,6 +38,9 @@ def _missing(discovery: Discovery) -> Iterator[str]:
         size, period = number(line["amplitude"], line.get("unit") or ""), duration(line["period_s"])
         of = f" of {line['output']}" if line.get("output") else ""
         yield f"The residual{of} repeats with a period of {period} and an amplitude of {size}."
+    follows = discovery.get("follows")
+    if follows and discovery["verdict"] == "unknown_effect" and not (discovery.get("formula") or line):
+        yield f"The remaining errors follow the signals: {percent(follows['share'])} of their energy."
     if not effects:
         if not (discovery.get("formula") or line):
             yield f"{facts.heading(discovery)}."

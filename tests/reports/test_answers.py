@@ -104,3 +104,14 @@ def test_a_line_in_the_errors_is_missing_and_the_next_thing_to_measure(output):
     assert expected in told["What is missing?"]
     (said,) = told["What to measure next?"]
     assert "0.103 s" in said, "more samples would not help"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "formula"), [("unknown_effect", ""), ("unknown_effect", "d(x)/dt"), ("effect_found", "")]
+)
+def test_errors_that_follow_the_signals_are_told_where_no_formula_says_more(verdict, formula):
+    told = TANK[0] | {"verdict": verdict, "formula": formula, "follows": {"share": 0.67, "p_value": 0.005}}
+    lines = answers(told)["What is missing?"]
+    expected = verdict == "unknown_effect" and not formula
+    assert ("The remaining errors follow the signals: 67 % of their energy." in lines) is expected
+    assert any("spills over" in line or "verflow" in line for line in lines), "the names stay"
