@@ -114,7 +114,7 @@ class Problem:
         return found
 
     def credible(self, effects: Sequence[str], theta: np.ndarray, span: SignalRange) -> bool:
-        """Are the numbers of effects, beside the range of the data?"""
+        """Are the numbers of all these effects credible, beside the range of the data?"""
         rules = {name: rule for name in effects if (rule := self.effect(name).credible) is not None}
         numbers = self.params(theta).effects if rules else {}
         return all(rule(numbers[name], span) for name, rule in rules.items())

@@ -210,10 +210,10 @@ def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
 def _other_beginnings(judge: Judge, first: Screening, model: Model) -> Sequence[Chosen]:
     """The effect that does best alone may be none of two that only do well together. Where none is certain alone, and
     errors stay clearly above the noise, one of two may be certain beside the other: without it, what the other leaves
-    looks like noise with a memory."""
+    looks like noise with a memory. Near the noise only rivals are tried."""
     criteria, names = judge.criteria, model.estimate.active
     ratio = first.rms(model) / max(first.noise**0.5, 1e-300)
-    others = [c for c in first.candidates if c.name not in names and c.model is not None]
+    others = [c for c in first.candidates if c.name not in names]
     if not names:
         tried = others if ratio > criteria.clear else []
         return [Chosen(c.model, {c.name: 0.0}) for c in tried if c.model][: criteria.beam]  # judged beside the other

@@ -41,35 +41,34 @@ def input_delay(physics: Physics) -> Effect:
         shapes={"delay": of_inputs(n)},
         channels="input" if n > 1 else "",
         initial_guesses=lambda span: [{"delay": dt * late} for late in _delays(n)],
-        wrap=late,
+        wrap=_late,
         needs=remembered_inputs(physics),
     )
 
 
-def late(physics: Physics) -> Physics:
+def _late(physics: Physics) -> Physics:
     """The physics behind the delay."""
     n, states = len(physics.inputs), len(physics.states)
     kept, change = LONGEST_DELAY * n, _change(physics)
 
-    def parts(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Older and newer input, and s."""
+    def parts(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """Older and newer input, s, and the mean over the sample."""
         samples = jnp.concatenate([u, past]).reshape(LONGEST_DELAY + 1, n)
         lags = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None]
         delay = jnp.reshape(p["delay"], (1, n)) / physics.dt
         whole = jnp.floor(delay)
         older, newer = (jnp.where(lags == at, samples, 0.0).sum(0) for at in (whole + 1.0, whole))
-        return older, newer, (delay - whole)[0]
+        part = (delay - whole)[0]
+        return older, newer, part, newer + part * (older - newer)
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        older, newer, part = parts(p, past, u)
-        return newer + part * (older - newer), jnp.concatenate([u, past])[:kept]
+        return parts(p, past, u)[-1], jnp.concatenate([u, past])[:kept]
 
     held = with_memory(physics, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance)
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         own, memory = x[:states], x[states:]
-        older, newer, part = parts(p.effects["input_delay"], memory[:kept], u)
-        mean = newer + part * (older - newer)
+        older, newer, part, mean = parts(p.effects["input_delay"], memory[:kept], u)
         between, begin, end = change(p, own, mean), own, jnp.zeros_like(own)
         for i, s in enumerate(part):
             old, new = (change(p, own, mean.at[i].set(one[i])) for one in (older, newer))

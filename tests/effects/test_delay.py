@@ -138,7 +138,7 @@ def test_a_later_effect_inside_the_step_changes_the_early_part_too():
 
 @settings(max_examples=8, deadline=None)
 @given(whole=st.integers(0, LONGEST_DELAY - 1), part=st.floats(0.0, 1.0, exclude_max=True))
-def test_a_physics_of_steps_has_the_impulses_of_its_own_slope(whole, part):
+def test_a_physics_of_steps_has_the_impulses_of_its_own_step(whole, part):
     u = np.random.default_rng(4).normal(size=(20, 2))
     late = pg.add(toy_physics("after_step"), "input_delay", delay=[(whole + part) * 0.5] * 2)
     past = np.concatenate([np.zeros((LONGEST_DELAY + 1, 2)), u])
