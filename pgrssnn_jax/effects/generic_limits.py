@@ -113,11 +113,12 @@ def floor(physics: Physics, places: list[Place]) -> Effect:
 
 
 def _limit(physics: Physics, places: list[Place], name: str, side: float, **fields: Any) -> Effect:
-    at, bound = [place.state for place in places], side * _INFINITE
+    at, bound, limit = [place.state for place in places], side * _INFINITE, jnp.minimum if side > 0 else jnp.maximum
 
     def limited(n: Any, x: jax.Array) -> jax.Array:
+        # Not x.at[i].min(level): its derivative asks whether x equals the result, and XLA may round these differently.
         for i, level in zip(at, n["level"], strict=True):
-            x = x.at[i].min(level) if side > 0 else x.at[i].max(level)
+            x = x.at[i].set(limit(x[i], level))
         return x
 
     def advance(n: Any, own: Any, step: Any, field: Callable[..., Any], x: jax.Array, u: jax.Array) -> jax.Array:

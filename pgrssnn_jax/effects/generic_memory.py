@@ -31,7 +31,10 @@ _STIFF, _YIELD = (0.1, 0.5), (0.05, 0.2)  # of the largest (v / q)² and q
 
 def backlash(physics: Physics) -> Effect:
     def advance(n: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        z = jnp.minimum(jnp.maximum(past, u - n["half_width"]), u + n["half_width"])
+        # At an end of the play z follows u: without play, of an input that is held, past is u, and minimum and maximum
+        # would split the derivative between the two.
+        low, high = u - n["half_width"], u + n["half_width"]
+        z = jnp.where(past <= low, low, jnp.where(past >= high, high, past))
         return z, z
 
     memory = [one._replace(fit_initial=True) for one in memory_signals(physics, "behind_play", 1)]

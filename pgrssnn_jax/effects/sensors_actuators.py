@@ -142,13 +142,19 @@ def saturation(physics: Physics, side: Side, title: str, cause: str) -> Effect:
     )
 
 
+def _dead_zone(n: Any, u: jax.Array) -> jax.Array:
+    """Beyond its edge, and at it, the derivative is 1: without a width of no input too."""
+    width = n["width"]
+    return jnp.where(u >= width, u - width, jnp.where(u <= -width, u + width, 0.0))
+
+
 def input_dead_zone(physics: Physics) -> Effect:
     return _per_channel(
         physics,
         "input",
         "dead_zone",
         "sign({v}) max(|{v}| - w, 0)",
-        lambda n, u: jnp.sign(u) * jnp.maximum(jnp.abs(u) - n["width"], 0.0),
+        _dead_zone,
         title="Input dead zone",
         cause="a small input has no effect: friction in a valve, a pump that must first build up pressure",
         parameters={"width": Parameter("w", unit_of_all(physics.inputs), bounds=(0.0, _INFINITE), neutral=0.0)},

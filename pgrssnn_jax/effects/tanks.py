@@ -147,7 +147,7 @@ def tank2_overflow() -> Effect:
     return _rim(
         "tank2_overflow",
         1,
-        lambda n, own, x, u, new: new.at[1].min(n["level"]),
+        lambda n, own, x, u, new: new.at[1].set(jnp.minimum(new[1], n["level"])),
         (0.65, 0.8, 0.93),
         needs=_tanks(),
         title="Overflow of the lower tank",

@@ -1,6 +1,7 @@
 """Linear responses to nonparametric corrections, against free runs with a small correction in them."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from toys import small_record
@@ -12,7 +13,7 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem, carried, weighted_signals
 from pgrssnn_jax.discovery.responses import Response, correction_responses, path_of
 from pgrssnn_jax.effects.systems import catalogue
-from pgrssnn_jax.physics.base import Physics
+from pgrssnn_jax.physics.base import Physics, Signal, continuous
 from pgrssnn_jax.physics.linear import lgssm
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
@@ -61,6 +62,42 @@ def test_columns_are_the_derivatives_of_free_runs(build):
             ]
             expected = (runs[0] - runs[1])[0] / (2 * SMALL)
             np.testing.assert_allclose(response.columns @ c, expected, atol=2e-5 * np.abs(expected).max(), err_msg=name)
+
+
+def cart_with_vessel() -> Physics:
+    """dv/dt = u - 0.5 v - 4 q, dq/dt = v; dh/dt = u - h: takes effects on velocities, first-order states and inputs."""
+    return continuous(
+        "cart_with_vessel",
+        lambda p, x, u: jnp.stack([x[1], u[0] - 0.5 * x[1] - 4.0 * x[0], u[0] - x[2]]),
+        lambda p, x, u: x[::2],
+        {"one": 1.0},
+        dt=0.1,
+        states=(Signal("q", "m", like="q"), Signal("v", "m/s", rate_of="q"), Signal("h", "m", like="h")),
+        inputs=(Signal("u"),),
+        outputs=(Signal("q", "m"), Signal("h", "m")),
+    )
+
+
+@pytest.mark.parametrize("build", [cart_with_vessel, tanks, before_step])
+def test_effects_that_do_nothing_leave_the_derivatives_of_the_step_alone(build):
+    """Of an input that is held, and none at times, where a play without width, a limit at infinity or an edge at zero
+    meets its signal exactly."""
+    physics, own = build(), len(build().states)
+    draw = np.random.default_rng(0)
+    u = np.repeat(draw.uniform(0.5, 3.0, (SAMPLES // 6, len(physics.inputs))), 6, axis=0)
+    u[12:24] = 0.0
+    with jax.enable_x64(True):
+        problem = build_problem(physics, catalogue(physics))
+        record = small_record(u, 2.0 + draw.standard_normal((SAMPLES, len(physics.outputs))))
+        signals = weighted_signals(problem, record, folds=2, block=10)
+        path = path_of(problem, signals, Guess((), problem.theta, np.maximum(signals.start, 1.0)))
+        params = problem.code.unravel(problem.theta)
+        step = jax.vmap(lambda x, u: problem.full.step(params, x, u)[:own])
+        x, inputs = path.before[0], path.u[0]
+        along_x = [(step(x + e, inputs) - step(x - e, inputs)) / (2 * SMALL) for e in SMALL * np.eye(x.shape[-1])]
+        along_u = [(step(x, inputs + e) - step(x, inputs - e)) / (2 * SMALL) for e in SMALL * np.eye(u.shape[-1])]
+    np.testing.assert_allclose(path.a[0, :, :own], np.stack(along_x, -1), atol=1e-6)
+    np.testing.assert_allclose(path.b[0, :, :own], np.stack(along_u, -1), atol=1e-6)
 
 
 def test_a_signal_that_does_not_move_corrects_nothing():
