@@ -34,7 +34,7 @@ class Metric(NamedTuple):
 
     def of(self, record: Record, y: Float[np.ndarray, "seq time y"]) -> float:
         function = metrics.nrmse if self.name == "NRMSE" else metrics.rmse
-        found = function(measured=record.y, predicted=y, mask=record.mask, n_init=self.n_init)
+        found = function(measured=record.y, predicted=_lost(y), mask=record.mask, n_init=self.n_init)
         return float(np.mean(found))
 
     def scale(self, record: Record) -> Float[np.ndarray, " y"]:
@@ -89,6 +89,8 @@ class Proved(NamedTuple):
     def closed(self, error: float, better: float) -> float:
         """Part of the recalibrated gap on the test record between two errors."""
         gap = self.test.recalibrated.error - self.floor
+        if np.isinf(gap):
+            return float(np.isinf(error) and np.isfinite(better))
         return (error - better) / gap if gap > 0 else 0.0
 
     @property
@@ -148,7 +150,8 @@ def _validations(
     relative = metric._replace(name="NRMSE").of(record, runs[-1][0])
     before, recalibrated, after = found
     better = drawn[0] if before.error < recalibrated.error else drawn[1]  # a physics that nobody fitted is one, too
-    fall = _interval(better - drawn[2])
+    with np.errstate(invalid="ignore"):
+        fall = _interval(better - drawn[2])
     return Validations(before, recalibrated, after, metric, fall, relative, without, metric.scale(record))
 
 
@@ -173,9 +176,14 @@ def _simulated(
 
 
 def _interval(drawn: Float[np.ndarray, " draw"]) -> tuple[float, float]:
-    with np.errstate(invalid="ignore", over="ignore"):
-        low, high = np.quantile(drawn, [0.025, 0.975])
+    method = "linear" if np.isfinite(drawn).all() else "inverted_cdf"  # nothing lies between infinite errors
+    low, high = np.quantile(drawn, [0.025, 0.975], method=method)
     return float(low), float(high)
+
+
+def _lost(y: Float[np.ndarray, "seq time y"]) -> Float[np.ndarray, "seq time y"]:
+    """A run that has left the range is infinitely wrong."""
+    return np.where(np.isfinite(y), y, np.inf)
 
 
 def _resampled(
@@ -192,9 +200,9 @@ def _resampled(
     counts = np.stack([mask[s, t : t + length].sum(0) for s, t in blocks])[drawn].sum(1)
     found = []
     for y in predicted:
-        squares = np.where(mask, (measured - y) ** 2, 0.0)
-        sums = np.stack([squares[s, t : t + length].sum(0) for s, t in blocks])
         with np.errstate(invalid="ignore", over="ignore"):
+            squares = np.where(mask, (measured - _lost(y)) ** 2, 0.0)
+            sums = np.stack([squares[s, t : t + length].sum(0) for s, t in blocks])
             found.append((np.sqrt(sums[drawn].sum(1) / counts) / scale).mean(-1))
     return found
 

@@ -103,6 +103,34 @@ def test_what_predicts_no_better_than_the_nominal_physics_is_no_improvement(prob
     assert said.improvement == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("lost", "expected"),
+    [
+        ("recalibrated", (0.9, 0.9)),  # beside the nominal physics, which is the better one
+        ("both", (np.inf, np.inf)),
+        ("after", (-np.inf, -np.inf)),
+    ],
+)
+def test_a_run_that_leaves_the_range_is_infinitely_wrong(problem, lost, expected):
+    """A model with names ended far outside, and its errors were no number: a correction that was right in its place
+    was refuted."""
+    still = small_record(np.zeros((200, 1)), np.zeros((200, 1)))
+    unstable = problem.theta.copy()
+    unstable[[i for i, slot in enumerate(problem.slots) if slot.label.startswith("A")]] = 1e9
+
+    def model(name: str, offset: float) -> Guess:
+        gone = lost == name or (lost == "both" and name != "after")
+        theta = problem.put(unstable if gone else problem.theta, "sensor_offset", {"offset": [offset]})
+        return Guess((), theta, np.ones((1, 1)) if gone else np.zeros((1, 1)))
+
+    models = [model("nominal", 1.0), model("recalibrated", 2.0), model("after", 0.1)]
+    setup = setup_of(problem, still, still, choices(), Start.SHARED)
+    with jax.enable_x64(True):
+        said = validations_on_test(problem, setup, models, {}, Settings(steps=10), 1.0)
+    assert said.improvement == pytest.approx(expected)
+    assert said.after.error == (np.inf if lost == "after" else pytest.approx(0.1))
+
+
 @pytest.mark.parametrize("start", list(Start))
 @pytest.mark.parametrize("phase", [0.3, pytest.param(2.5, marks=pytest.mark.slow), 4.4])
 def test_no_record_shares_its_phase_with_another(start, phase):
