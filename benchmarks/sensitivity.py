@@ -25,7 +25,7 @@ from hidden.suite import KINDS
 from rich.console import Console
 from rich.table import Table
 
-from pgrssnn_jax.discovery import discover, nameless, scoring
+from pgrssnn_jax.discovery import discover, nameless, scoring, search
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import discover_in
 from pgrssnn_jax.discovery.problem import Problem, build_problem
@@ -33,16 +33,17 @@ from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 
 _OF_SCREENINGS = ("p_value", "finalists", "hopeless", "draws", "block")  # fields that a screening depends on
-_ONCE = (
-    (scoring, "score_candidates"),
-    (nameless, "score_corrections"),
-    (nameless, "errors_follow"),
-    (nameless, "spectral_line"),
-    (discover, "nominal_guess"),
-    (discover, "recalibrated_guess"),
-    (discover, "smoothed_correction"),
-    (discover, "final_numbers"),
-    (discover, "validations_on_test"),
+_ONCE = (  # functions, in the modules that call them
+    (scoring, scoring.score_candidates),
+    (nameless, nameless.score_corrections),
+    (nameless, nameless.errors_follow),
+    (nameless, nameless.line_beside_noise),
+    (search, search.nominal_guess),
+    (search, search.recalibrated_guess),
+    (discover, discover.smoothed_correction),
+    (discover, discover.final_numbers),
+    (discover, discover.validations_on_test),
+    (discover, discover.improvement_by_correction),
 )
 
 
@@ -67,8 +68,8 @@ def main() -> None:
     arguments = _arguments()
     jax.config.update("jax_num_cpu_devices", 2)
     known: dict[Any, Any] = {}
-    for module, name in _ONCE:
-        setattr(module, name, _remembered(getattr(module, name), known))
+    for module, function in _ONCE:
+        setattr(module, function.__name__, _remembered(function, known))
     counts: dict[tuple[str, str], Counter[str]] = {}
     total = 0
     for system in arguments.systems:
