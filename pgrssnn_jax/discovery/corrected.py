@@ -6,7 +6,7 @@ One effect for all equations and signals: which ones is a matter of numbers that
 program fits any of them. Corrections by the history of an input remember it and have programs of their own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pgrssnn_jax.discovery.flexible import KNOTS, families, flexible_effects, hats
+from pgrssnn_jax.discovery.flexible import KNOTS, continued, families, flexible_effects, hats
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.effects.base import Effect
 from pgrssnn_jax.physics.base import Parameter, Physics
@@ -74,8 +74,8 @@ def _effect_of(physics: Physics, name: str) -> Effect:
 def _curve(physics: Physics) -> Effect:
     n_x, n_u, n_y = len(physics.states), len(physics.inputs), len(physics.outputs)
 
-    def curve(n: Any, value: jax.Array) -> jax.Array:
-        return hats(value, n["low"], n["high"], n["c"])
+    def curve(n: Any, value: jax.Array, shape: Callable[..., jax.Array] = continued) -> jax.Array:
+        return shape(value, n["low"], n["high"], n["c"])
 
     def on_input(n: Any, u: jax.Array) -> jax.Array:
         return u + n["to_u"] * curve(n, (n["by_u"] * u).sum())
@@ -85,7 +85,7 @@ def _curve(physics: Physics) -> Effect:
             n = p.effects[CURVE]
             new = inner.step(p, x, on_input(n, u))
             value = (n["by_x"] * 0.5 * (x[:n_x] + new[:n_x])).sum() + (n["by_u"] * u).sum()
-            return jnp.concatenate([new[:n_x] + physics.dt * n["to_x"] * curve(n, value), new[n_x:]])
+            return jnp.concatenate([new[:n_x] + physics.dt * n["to_x"] * curve(n, value, hats), new[n_x:]])
 
         def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
             n = p.effects[CURVE]

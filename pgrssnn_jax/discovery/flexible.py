@@ -4,8 +4,9 @@
     u   ← u + Σ c_j φ_j(u)             u ← u + Σ c_k (u_{t-k} - u_t)   input
     y   ← y + Σ c_j φ_j(y)                                             measurement
 
-φ_j: hat functions on equal knots over the reach of s, constant beyond. Each family is an `Effect` whose neutral
-coefficients are zero, so that the same fits serve named effects and these.
+φ_j: hat functions on equal knots over the reach of s. Beyond it a curve of the dynamics is constant; one of an input or
+of a reading goes on as its outer segments do: what a saturated sensor hides is beyond the reach. Each family is an
+`Effect` whose neutral coefficients are zero, so that the same fits serve named effects and these.
 """
 
 from collections.abc import Callable, Sequence
@@ -71,6 +72,13 @@ def hats(value: jax.Array, low: jax.Array, high: jax.Array, c: Float[jax.Array, 
     return (jnp.maximum(1.0 - jnp.abs(place - jnp.arange(KNOTS, dtype=c.dtype)), 0.0) * c).sum()
 
 
+def continued(value: jax.Array, low: jax.Array, high: jax.Array, c: Float[jax.Array, " knots"]) -> jax.Array:
+    """The same, but as the first and the last segment beyond them."""
+    place = (value - low) / (high - low) * (KNOTS - 1)
+    below, above = jnp.minimum(place, 0.0), jnp.maximum(place - (KNOTS - 1), 0.0)
+    return hats(value, low, high, c) + below * (c[1] - c[0]) + above * (c[-1] - c[-2])
+
+
 def nearness(values: Float[np.ndarray, "*n"], low: Any, high: Any) -> Float[np.ndarray, "*n knots"]:
     """φ_j of many values, for what is not traced."""
     place = np.clip((values - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
@@ -88,15 +96,13 @@ def _family(physics: Physics, name: str, where: Where) -> Effect:
             return []  # no curve over a signal that does not move
         return [{"c": np.zeros(KNOTS), "high": np.asarray(high), "low": np.asarray(low)}]
 
-    def correction(p: Any, value: jax.Array) -> jax.Array:
-        return hats(value, p["low"], p["high"], p["c"])
-
     def after(p: Any, own: Any, x: jax.Array, u: jax.Array, new: jax.Array) -> jax.Array:
         signal = 0.5 * (x[index] + new[index]) if kind == "x" else u[index]
-        return new.at[where.target].add(physics.dt * correction(p, signal))
+        return new.at[where.target].add(physics.dt * hats(signal, p["low"], p["high"], p["c"]))
 
     def on_channel(p: Any, value: jax.Array) -> jax.Array:
-        return value.at[where.target].add(correction(p, value[where.target]))
+        own = value[where.target]
+        return value.at[where.target].add(continued(own, p["low"], p["high"], p["c"]))
 
     wrap: dict[str, Callable[[Physics], Physics]] = {
         "state": lambda inner: after_step(inner, name, after),

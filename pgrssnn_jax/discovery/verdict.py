@@ -22,6 +22,8 @@ from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
 
 EXPLAINED = 0.5  # part of the gap that names must close to be more than a help: 463 right answers close 0.65 at least
+_BETTER = 2.0  # standard errors by which a correction without a name predicts better: a 95 % interval without zero, and
+# the test record must confirm it
 
 
 class Verdict(StrEnum):
@@ -132,9 +134,9 @@ def _harmful(judgement: Judgement, improvement: tuple[float, float]) -> bool:
 
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:
-    """A correction without a name that beats the null and certainly predicts better than the named effects, in their
-    place or beside them, by a good part of the gap or of what they leave. In the place of names, which have beaten the
-    null, it is a further look and has the p-value of a further effect."""
+    """A correction without a name that beats the null and predicts better than the named effects, in their place or
+    beside them, by a good part of the gap or of what they leave. In the place of names, which have beaten the null, it
+    is a further look and has the p-value of a further effect."""
     final = selection.final
     segmented = final.free_run is not None  # the names of an arm act on all joints, a correction on one
     beside = criteria.nameless if final.estimate.active and not segmented else criteria.share
@@ -146,7 +148,7 @@ def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tu
                 continue
             closed = selection.last.rms() - screening.rms(one.model)
             better, error = _compared(one.model, rival)
-            if closed >= least_fall(selection, criteria, share) and better > criteria.certain * error:
+            if closed >= least_fall(selection, criteria, share) and better > _BETTER * error:
                 return screening, one
     return None
 

@@ -1,12 +1,13 @@
 """Which equations nonparametric corrections are tried in, for few and for many states."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import pgrssnn_jax as pg
-from pgrssnn_jax.discovery.flexible import families
+from pgrssnn_jax.discovery.flexible import KNOTS, continued, families, hats
 from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 LENGTH = 5
@@ -69,6 +70,20 @@ def test_of_many_mechanical_states_the_rates_are_corrected_by_themselves_and_by_
     found = {name for name, where in families(masses()).items() if where.kind == "state"}
     assert {f"v{i} by v{i}" for i in range(3)} <= found
     assert not any(name.startswith("q") for name in found), "dq/dt = v holds by definition"
+
+
+def test_a_curve_of_a_reading_goes_on_where_a_saturated_sensor_shows_nothing():
+    """y + f(y) = min(y, s) of readings beyond the reach too; between the knots f is that of the dynamics."""
+    low, high = jnp.asarray(-1.0), jnp.asarray(2.5)
+    knots = jnp.linspace(low, high, KNOTS)
+    limit = knots[-3]
+    y = jnp.linspace(low - 4.0, high + 4.0, 501)
+    curve = jax.vmap(lambda one: continued(one, low, high, jnp.minimum(limit - knots, 0.0)))(y)
+    np.testing.assert_allclose(y + curve, np.minimum(y, limit), atol=1e-5)
+    c = jnp.asarray(np.random.default_rng(0).standard_normal(KNOTS))
+    inside = y[(y >= low) & (y <= high)]
+    one, other = (jax.vmap(lambda v, f=f: f(v, low, high, c))(inside) for f in (continued, hats))
+    np.testing.assert_allclose(one, other, atol=1e-5)
 
 
 @pytest.mark.slow

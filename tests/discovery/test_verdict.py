@@ -154,14 +154,15 @@ def test_in_the_place_of_names_less_is_enough_but_it_must_predict_better(problem
     assert judged(problem, 400.0, 9.0, instead=unsure).verdict is Verdict.EFFECT_FOUND
 
 
-def test_beside_names_a_correction_must_certainly_predict_better(problem):
-    """Better in a fifth of the blocks: by more than one standard error, and less than three."""
-    squares = np.where(np.arange(SAMPLES) // 32 % 5, 1.0, 0.7)
+@pytest.mark.parametrize(("every", "expected"), [(8, Verdict.EFFECT_FOUND), (5, Verdict.UNKNOWN_EFFECT)])
+def test_beside_names_a_correction_must_predict_better_by_two_standard_errors(problem, every, expected):
+    """Better in three or four of twenty blocks: by 1.8 or 2.2 standard errors."""
+    squares = np.where(np.arange(SAMPLES) // 32 % every, 1.0, 0.7)
     blocks = model(problem, 9.0, error=NOISE * np.sqrt(squares)[None, :, None]).squares
-    unsure = model(problem, 4.0, (CORRECTION,))._replace(squares=blocks)
-    better, error = unsure.better_than(model(problem, 9.0))
+    somewhere = model(problem, 4.0, (CORRECTION,))._replace(squares=blocks)
+    better, error = somewhere.better_than(model(problem, 9.0))
     assert error < better < 3.0 * error
-    assert judged(problem, 400.0, 9.0, beside=unsure).verdict is Verdict.EFFECT_FOUND
+    assert judged(problem, 400.0, 9.0, beside=somewhere).verdict is expected
 
 
 @pytest.mark.parametrize(("p_value", "expected"), [(0.04, Verdict.UNKNOWN_EFFECT), (0.06, Verdict.EFFECT_FOUND)])
