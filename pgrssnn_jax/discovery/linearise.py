@@ -19,7 +19,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 
 Linearised = tuple[Linearisation, Int[np.ndarray, " k"]]  # and the positions in θ of its first columns
 _NOTHING = 1e-20  # of an energy: a change that is none, in any unit of a number
-_RUN_AWAY = 1e100  # a free run that has left the range, and whose square would
+_RUN_AWAY = 1e100  # error of a free run that has left the range: the square of a larger one would
 
 
 class Run(NamedTuple):
@@ -43,8 +43,9 @@ def runs(problem: Problem, signals: Signals, guesses: Sequence[Guess], settings:
         places = free_places(problem, padded, settings)
         lanes = Lanes(np.stack([g.theta for g in padded]), np.stack([g.x0 for g in padded]), places)
         y, dy = sensitivity(problem, signals, lanes)
-        error = np.where(signals.weight > 0, signals.weight * (signals.y - y), 0.0)
-        error, dy = (np.where(np.abs(a) < _RUN_AWAY, a, 0.0) for a in (error, signals.weight[..., None] * dy))
+        error, dy = signals.weight * (signals.y - y), signals.weight[..., None] * dy
+        error = np.where(signals.weight > 0, np.where(np.abs(error) < _RUN_AWAY, error, _RUN_AWAY), 0.0)
+        dy = np.where(np.abs(dy) < _RUN_AWAY, dy, 0.0)
         for k in range(len(part)):
             used = np.flatnonzero(places[k] >= 0)
             columns = dy[k][..., np.concatenate([used, np.arange(places.shape[1], dy.shape[-1])])]
