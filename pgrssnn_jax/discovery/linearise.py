@@ -19,7 +19,7 @@ from pgrssnn_jax.discovery.problem import Problem, Signals
 
 Linearised = tuple[Linearisation, Int[np.ndarray, " k"]]  # and the positions in θ of its first columns
 _NOTHING = 1e-20  # of an energy: a change that is none, in any unit of a number
-_RUN_AWAY = 1e100  # error of a free run that has left the range: the square of a larger one would
+_RUN_AWAY = 1e100  # error of a free run that has left the range: squares of larger ones leave it too
 
 
 class Run(NamedTuple):

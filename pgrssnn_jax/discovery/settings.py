@@ -33,7 +33,7 @@ class Criteria(NamedTuple):
     exact: float = 0.002  # but at least this part of the gap: the laws of effects hold no better between two samples
     standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
     certain: float = 3.0  # the same for less than `share` and for elaborate effects; and by which runs over whole
-    # sequences come nearer, where fits see segments
+    # sequences come nearer by effects and corrections, where fits see segments
     nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed
     tied: float = 1.28  # standard errors by which a tenth of equals predict worse: within them effects are ambiguous
     alike: float = 1.0  # log-likelihood by which two effects are no less likely: a ratio of e is no evidence (Jeffreys)

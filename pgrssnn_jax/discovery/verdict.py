@@ -22,8 +22,9 @@ from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
 
 EXPLAINED = 0.5  # part of the gap that names must close to be more than a help: 463 right answers close 0.65 at least
-_BETTER = 2.0  # standard errors by which a correction without a name predicts better: a 95 % interval without zero, and
-# the test record must confirm it
+# Standard errors by which a correction without a name predicts better where the test record must confirm it, too: 95 %
+# intervals without zero. Where fits see segments no test record does (`certain`).
+_BETTER = 2.0
 
 
 class Verdict(StrEnum):
@@ -140,6 +141,7 @@ def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tu
     final = selection.final
     segmented = final.free_run is not None  # the names of an arm act on all joints, a correction on one
     beside = criteria.nameless if final.estimate.active and not segmented else criteria.share
+    sure = criteria.certain if segmented else _BETTER
     wanted = [(nameless.alone, final, criteria.share, criteria.further)] if nameless.alone else []
     wanted.append((nameless.beside, nameless.beside.base, beside, criteria.p_value))
     for screening, rival, share, p_value in wanted:
@@ -148,7 +150,7 @@ def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tu
                 continue
             closed = selection.last.rms() - screening.rms(one.model)
             better, error = _compared(one.model, rival)
-            if closed >= least_fall(selection, criteria, share) and better > _BETTER * error:
+            if closed >= least_fall(selection, criteria, share) and better > sure * error:
                 return screening, one
     return None
 

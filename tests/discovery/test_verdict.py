@@ -48,11 +48,13 @@ def judged(
     p_value: float = CERTAIN,
     line: Line | None = None,
     follows: Follows | None = None,
+    runs: np.ndarray | None = None,
 ) -> Judgement:
     """Energies of the recalibrated physics, with the named effect, and with a correction beside it or instead; nominal:
-    errors relative to the recalibrated ones."""
+    errors relative to the recalibrated ones; runs: errors of the final model over whole sequences, where fits see
+    segments."""
     base = model(problem, recalibrated)
-    final = base if named is None else model(problem, named, (NAME,))
+    final = (base if named is None else model(problem, named, (NAME,)))._replace(free_run=runs)
     first = screening(base, {} if named is None else {NAME: final, **(rivals or {})})
     selection = Selection(base, final, {} if named is None else {NAME: first}, first, screening(final, {}), 1.0)
 
@@ -163,6 +165,18 @@ def test_beside_names_a_correction_must_predict_better_by_two_standard_errors(pr
     better, error = somewhere.better_than(model(problem, 9.0))
     assert error < better < 3.0 * error
     assert judged(problem, 400.0, 9.0, beside=somewhere).verdict is expected
+
+
+@pytest.mark.parametrize(("errors", "expected"), [(2.5, Verdict.EFFECT_FOUND), (3.5, Verdict.UNKNOWN_EFFECT)])
+def test_where_fits_see_segments_a_correction_must_certainly_come_nearer(problem, errors, expected):
+    """No test record confirms it there. errors: standard errors of the mean over 16 sequences."""
+    spread = np.resize([1.0, -1.0], 16)
+    spread *= 16**0.5 / spread.std(ddof=1)
+    runs = np.full(16, 9.0)
+    nearer = model(problem, 4.0, (NAME, CORRECTION))._replace(free_run=runs * np.exp(-0.1 * (errors + spread)))
+    mean, error = nearer.nearer_than(model(problem, 9.0)._replace(free_run=runs))
+    assert mean / error == pytest.approx(errors)
+    assert judged(problem, 16.0, 9.0, beside=nearer, runs=runs).verdict is expected
 
 
 @pytest.mark.parametrize(("p_value", "expected"), [(0.04, Verdict.UNKNOWN_EFFECT), (0.06, Verdict.EFFECT_FOUND)])
