@@ -22,7 +22,6 @@ _SEARCHED = 12  # sequences in which effects are looked for; their numbers see a
 _STEPS = 12  # of a fit to segments: they are nearly linear
 _TOLERANCE = 1e-3  # candidates differ by far more; dry friction makes the cost uneven below that
 _SPARE = 30  # numbers that such fits have places for: compiling takes longer than the places that stay empty
-_OWN_SPARE = 6  # the same of the last fits, whose segments of another length need programs of their own
 
 Screen = Callable[..., Screening]  # of a guess or a model
 
@@ -96,7 +95,7 @@ def _on_segments(
 
     def refitted(problem: Problem, signals: Signals, model: Model) -> Guess:
         guess = Guess(model.estimate.active, model.estimate.theta, signals.start)
-        ((found, _),) = fit_all(problem, signals, [guess], settings._replace(spare=_OWN_SPARE))
+        ((found, _),) = fit_all(problem, signals, [guess], settings)
         return found
 
     def finish(problem: Problem, selection: Selection) -> Selection:
