@@ -43,10 +43,10 @@ def step_within(
     return np.clip(step / size, low, high)
 
 
-def scaled_step(normal: Float[np.ndarray, "k k"], pull: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """N⁻¹ g, each number in units of its own column, so that the ridge is the same for all."""
+def scaled_steps(normal: Float[np.ndarray, "k k"], pull: Float[np.ndarray, "many k"]) -> Float[np.ndarray, "many k"]:
+    """N⁻¹ g of many g, each number in units of its own column, so that the ridge is the same for all."""
     size, scaled = _scaled(normal)
-    return np.linalg.solve(scaled, pull / size) / size
+    return np.linalg.solve(scaled, (pull / size).T).T / size
 
 
 def _scaled(normal: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, "k k"]]:

@@ -18,6 +18,7 @@ from pgrssnn_jax.acceleration.compiled_runs import FreeRuns, Sizes, compiled_fre
 from pgrssnn_jax.acceleration.scalars import MOST, Program, written_out
 from pgrssnn_jax.physics.base import Physics
 
+Function = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]  # of θ, x, u
 _MOST_COMPILED = 5000  # operations of a step: the compiler takes 8 s (two masses, 8 steps of RK4 a sample)
 
 
@@ -52,6 +53,16 @@ class Code:
         return found if isinstance(found := self._free_runs, str) else None
 
     @cached_property
+    def step(self) -> Function:
+        """The step for θ `[p]`, x `[x]`, u `[u]`. All programs share what JAX traces of it."""
+        return jax.jit(_on_vectors(self.full.step, self.unravel))
+
+    @cached_property
+    def measure(self) -> Function:
+        """The same of the measurement."""
+        return jax.jit(_on_vectors(self.full.measure, self.unravel))
+
+    @cached_property
     def _free_runs(self) -> FreeRuns | str | None:
         if self.written_out is None or not self.accelerate:
             return None
@@ -70,12 +81,12 @@ def code_of(
 
 def _functions(full: Physics, unravel: Callable[[jax.Array], Any], p: int) -> tuple[Program, Program] | None:
     """Step and measurement as operations on the numbers of θ, x and u."""
-
-    def on_vectors(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
-        return lambda theta, x, u: function(unravel(theta), x, u)
-
     sizes = (p, len(full.states), len(full.inputs))
     with jax.enable_x64(True):
-        step = written_out(on_vectors(full.step), sizes, 2, _MOST_COMPILED)
-        measure = step and written_out(on_vectors(full.measure), sizes, 2, _MOST_COMPILED)
+        step = written_out(_on_vectors(full.step, unravel), sizes, 2, _MOST_COMPILED)
+        measure = step and written_out(_on_vectors(full.measure, unravel), sizes, 2, _MOST_COMPILED)
     return (step, measure) if step and measure else None
+
+
+def _on_vectors(function: Callable[..., jax.Array], unravel: Callable[[jax.Array], Any]) -> Function:
+    return lambda theta, x, u: function(unravel(theta), x, u)

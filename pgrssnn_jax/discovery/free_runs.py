@@ -13,11 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from pgrssnn_jax.acceleration.scalars import Program
-from pgrssnn_jax.discovery.code import Code
+from pgrssnn_jax.discovery.code import Code, Function
 from pgrssnn_jax.records.record import Array
 
 Rows = jax.Array | tuple[jax.Array, ...]
-Function = Callable[[Any, jax.Array, jax.Array], jax.Array]
 Along = Callable[[Any, Any, jax.Array], tuple[Rows, Rows]]
 
 
@@ -26,7 +25,7 @@ def free_run(code: Code, u: jax.Array, theta: jax.Array, x0: jax.Array) -> tuple
     and x_0 `[x, seq, lane]`."""
     if code.compiled is not None:
         return code.compiled.run(u, theta, x0)
-    step, measure = (_batched(code, f) for f in (code.full.step, code.full.measure))
+    step, measure = _batched(code.step), _batched(code.measure)
     after = _after(code)
 
     def body(x: jax.Array, u_t: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
@@ -49,7 +48,7 @@ def with_derivatives(
     dx0 = jnp.concatenate([jnp.zeros((n_x, k)), starts], 1)[:, :, None, None]
     dx0 = jnp.broadcast_to(dx0, (*dx0.shape[:2], seq, lanes))
     if code.rows is None:
-        step, measure = (_along_arrays(code, f, theta, dtheta) for f in (code.full.step, code.full.measure))
+        step, measure = (_along_arrays(f, theta, dtheta) for f in (code.step, code.measure))
         begin: tuple[Rows, Rows] = (x0, dx0)
     else:
         step, measure = (_along_rows(program, theta, dtheta, dx0.shape[1:]) for program in code.rows)
@@ -67,18 +66,14 @@ def _after(code: Code) -> bool:
     return code.full.output_timing == "after_step"
 
 
-def _batched(code: Code, function: Function) -> Function:
-    """A function of the physics for θ `[p, lane]`, x `[x, seq, lane]`, u `[u, seq]`."""
-
-    def one(theta: jax.Array, x: jax.Array, u: jax.Array) -> jax.Array:
-        return function(code.unravel(theta), x, u)
-
-    return jax.vmap(jax.vmap(one, (-1, -1, None), -1), (None, 1, 1), 1)
+def _batched(function: Function) -> Function:
+    """The same for θ `[p, lane]`, x `[x, seq, lane]`, u `[u, seq]`."""
+    return jax.vmap(jax.vmap(function, (-1, -1, None), -1), (None, 1, 1), 1)
 
 
-def _along_arrays(code: Code, function: Function, theta: jax.Array, dtheta: jax.Array) -> Along:
+def _along_arrays(function: Function, theta: jax.Array, dtheta: jax.Array) -> Along:
     """By JAX's own derivatives: x `[x, seq, lane]`, dx `[x, d, seq, lane]`."""
-    batched = _batched(code, function)
+    batched = _batched(function)
 
     def along(x: jax.Array, dx: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         value, push = jax.linearize(lambda t, x: batched(t, x, u), theta, x)

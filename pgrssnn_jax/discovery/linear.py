@@ -15,21 +15,31 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from pgrssnn_jax.discovery.bounded import scaled_step, step_within
+from pgrssnn_jax.discovery.bounded import scaled_steps, step_within
 from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, ranked, white_noise
-from pgrssnn_jax.discovery.estimate import Guess, Settings, evaluate, fit_all, signal_range_of
+from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, signal_range_of
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
-from pgrssnn_jax.discovery.noise import surrogates
+from pgrssnn_jax.discovery.noise import Surrogates, surrogates_of
 from pgrssnn_jax.discovery.null import nats, null_of
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
 
-_PLACES = (32, 96)  # numbers in one linearisation, few or many: one of 96 takes twice as long as one of 24
+_PLACES = 32  # numbers in one run with sensitivities: three take half as long again as one of 96, which would be
+# another program to compile
 DRAWS = 200  # of the null, at most: every draw is a fit
 _FINALISTS = 3  # candidates that are fitted properly
 _BEYOND_REACH = 1.5  # times the best cost that was reached: candidates whose promise is above it are not fitted
 _LOST = 10.0  # standard deviations: an error that a free run which has left the range counts
 _RIDGE = 1e-9
+
+
+class Sensitivities(NamedTuple):
+    """Weighted errors of all segments, and their derivatives by the starts and by the numbers at `numbers` in θ."""
+
+    numbers: Int[np.ndarray, " k"]
+    error: Float[np.ndarray, "s n"]
+    starts: Float[np.ndarray, "s n x"]
+    columns: Float[np.ndarray, "s n k"]
 
 
 class Reduced(NamedTuple):
@@ -58,7 +68,8 @@ def score_linearised(
     least: float = 0.0,
 ) -> Screening:
     """As `candidates.score_candidates`: candidates are ranked by one linear step each, and the best are then fitted,
-    where they promise to lower the RMS error by the share `least`.
+    where they promise to lower the RMS error by the share `least`. An effect that lowers it little on segments may
+    close the gap of whole sequences.
 
     signals: the segments; whole: sequences uncut, with their starts, for the free run that has the last word.
     """
@@ -67,7 +78,7 @@ def score_linearised(
         base = segment_model(problem, signals, fitted, whole)
     guess = base.estimate.guess
     own = _free(problem, guess)
-    noise = surrogates(base.estimate.error, min(criteria.draws, DRAWS), rng).astype(np.float32)
+    noise = surrogates_of(base.estimate.error, min(criteria.draws, DRAWS), rng)
     size = signals.size
     cost, promises, falls = _promised(problem, signals, guess, own, without, noise)
     null = null_of({name: nats(fall, size) for name, fall in falls.items()})
@@ -89,13 +100,11 @@ def score_linearised(
 
 
 def _promised(
-    problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str], noise: np.ndarray
+    problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str], noise: Surrogates
 ) -> tuple[float, list[Candidate], dict[str, np.ndarray]]:
     """Cost of the base, what one linear step promises of every candidate, the best first, and the fall that each brings
-    in every draw of noise `[draw, seq, time, y]`."""
-    fold = signals.block[:, 0]
-    noise = noise.reshape(len(noise), len(fold), -1)
-    energy = np.maximum((noise.astype(np.float64) ** 2).sum((1, 2)), 1e-300)
+    in every draw of noise."""
+    fold, energy = signals.block[:, 0], np.maximum(noise.energy(), 1e-300)
     best: dict[str, tuple[float, Guess]] = {}
     falls: dict[str, np.ndarray] = {}
     (alone,) = _linearised(problem, signals, base, [own], own)
@@ -113,7 +122,8 @@ def _promised(
 def segment_model(problem: Problem, signals: Signals, fitted: Guess, whole: Signals) -> Model:
     """A fitted model, scored by its own linearisation; sequences are its blocks, and standard errors are over them."""
     places = _free(problem, fitted)
-    (reduced,) = _linearised(problem, signals, fitted, [places], places)
+    runs = _sensitivities(problem, signals, fitted, places)
+    (reduced,) = _reduced(problem, signals, fitted, runs, places, [places])
     fold = signals.block[:, 0]
     _, held_out, _ = _solve(reduced, fold)
     normal = reduced.normal.sum(0)
@@ -125,7 +135,7 @@ def segment_model(problem: Problem, signals: Signals, fitted: Guess, whole: Sign
     deviation[reduced.places] = np.sqrt(np.maximum(np.diag(inverse @ meat @ inverse), 0.0))
     counts = np.full(len(held_out), signals.y[0].size)
     free_run = whole_runs(problem, whole, fitted)
-    estimate = evaluate(problem, signals, fitted)
+    estimate = Estimate(*fitted, runs.error.reshape(signals.y.shape))
     return Model(estimate, held_out, counts, deviation, max(len(pulls) - 1.0, 1.0), free_run)
 
 
@@ -177,34 +187,51 @@ def _linearised(
     problem: Problem, signals: Signals, guess: Guess, wanted: Sequence[np.ndarray], own: np.ndarray
 ) -> list[Reduced]:
     """Own numbers and those wanted, one `Reduced` for each of these, from as few sensitivities as hold them all."""
-    numbers = np.unique(np.concatenate([own, *wanted]).astype(int))
-    size = next((n for n in _PLACES if len(numbers) <= n), _PLACES[-1])
-    count = max(1, -(-len(numbers) // size))
-    padded = np.pad(numbers, (0, count * size - len(numbers)), constant_values=-1).reshape(count, size)
+    runs = _sensitivities(problem, signals, guess, _each_once(own, *wanted))
+    return _reduced(problem, signals, guess, runs, own, wanted)
+
+
+def _sensitivities(problem: Problem, signals: Signals, guess: Guess, numbers: Int[np.ndarray, " k"]) -> Sensitivities:
+    count = max(1, -(-len(numbers) // _PLACES))
+    padded = np.pad(numbers, (0, count * _PLACES - len(numbers)), constant_values=-1).reshape(count, _PLACES)
     alone, devices = (guess.theta[None], guess.x0[None]), jax.device_count()
     runs = [sensitivity(problem, signals, Lanes(*alone, chunk[None]), devices) for chunk in padded]
-    blocks = [np.where(np.isfinite(dy[0]), dy[0], 0.0) for _, dy in runs]
-    weight = signals.weight[..., None]
-    n_seq = len(signals.u)
-    error = (signals.weight * (signals.y - runs[0][0][0])).reshape(n_seq, -1)
-    error = np.where(np.isfinite(error), error, 0.0)
-    columns = np.concatenate([(weight * block[..., :size]).reshape(n_seq, error.shape[1], -1) for block in blocks], -1)
-    columns = columns[..., : len(numbers)]
-    starts = (weight * blocks[0][..., size:]).reshape(n_seq, error.shape[1], -1)
+
+    def weighted(found: np.ndarray) -> np.ndarray:
+        values = np.where(np.isfinite(found), signals.weight[..., None] * found, 0.0)
+        return values.reshape(len(found), signals.y[0].size, found.shape[-1])
+
+    error = weighted((signals.y - runs[0][0][0])[..., None])[..., 0]
+    starts = weighted(runs[0][1][0][..., _PLACES:])
+    used = [min(_PLACES, len(numbers) - i * _PLACES) for i in range(count)]  # the places behind them are empty
+    blocks = [weighted(dy[0][..., :k]) for (_, dy), k in zip(runs, used, strict=True)]
+    return Sensitivities(numbers, error, starts, blocks[0] if count == 1 else np.concatenate(blocks, -1))
+
+
+def _reduced(
+    problem: Problem, signals: Signals, guess: Guess, runs: Sensitivities, own: np.ndarray, wanted: Sequence[np.ndarray]
+) -> list[Reduced]:
     free = problem.code.free_start
-    rest, pull, left = _without_starts(
-        signals.precision[:, free], (signals.start - guess.x0)[:, free], columns, starts, error
-    )
+    precision, off = signals.precision[:, free], (signals.start - guess.x0)[:, free]
+    rest, pull, left = _without_starts(precision, off, runs.columns, runs.starts, runs.error)
     found = []
     for places in wanted:
-        chosen = np.concatenate([own, [p for p in places if p not in own]]).astype(int)
-        at = np.searchsorted(numbers, chosen)
+        chosen = _each_once(own, places)
+        every = np.array_equal(chosen, runs.numbers)
+        at = (
+            slice(None) if every else [runs.numbers.tolist().index(place) for place in chosen]
+        )  # a slice copies nothing
         part = rest[..., at]
-        normal = np.einsum("snk,snl->skl", columns[..., at], part)
+        normal = np.swapaxes(runs.columns[..., at], 1, 2) @ part
         now = guess.theta[chosen]
         room = problem.low[chosen] - now, problem.high[chosen] - now
         found.append(Reduced(normal, pull[:, at], left, part, chosen, *room))
     return found
+
+
+def _each_once(*places: np.ndarray) -> Int[np.ndarray, " k"]:
+    """In the order in which they come first."""
+    return np.array(list(dict.fromkeys(np.concatenate(places).astype(int).tolist())), int)
 
 
 def _without_starts(
@@ -212,13 +239,14 @@ def _without_starts(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns without what the initial states of their stretch take up, and pull and energy of the errors without it.
     off: how far the start that is expected lies from the present one."""
-    local = np.einsum("snx,sny->sxy", starts, starts)
+    by_start = np.swapaxes(starts, 1, 2)
+    local, across = by_start @ starts, by_start @ columns
     index = np.arange(local.shape[-1])
     local[:, index, index] += precision + _RIDGE * (1.0 + local[:, index, index])
-    across = np.einsum("snx,snk->sxk", starts, columns)
     right = np.einsum("snx,sn->sx", starts, error) + precision * off
     taken = np.linalg.solve(local, np.concatenate([across, right[..., None]], -1))
-    rest = columns - starts @ taken[..., :-1]
+    rest = starts @ taken[..., :-1]
+    np.subtract(columns, rest, out=rest)
     pull = np.einsum("snk,sn->sk", columns, error) - np.einsum("sxk,sx->sk", across, taken[..., -1])
     energy = (error**2).sum(1) + (precision * off**2).sum(1) - (right * taken[..., -1]).sum(1)
     return rest, pull, np.maximum(energy, 0.0)
@@ -242,11 +270,12 @@ def _solve(reduced: Reduced, fold: np.ndarray) -> tuple[float, np.ndarray, np.nd
     return float(costs(fitted(everything), everything).sum()), held_out, np.stack(folds)
 
 
-def _fall(reduced: Reduced, noise: np.ndarray, own: int) -> np.ndarray:
-    """By how much the energy of noise falls with the candidate's numbers beyond what the model's own take `[draw]`."""
-    k = len(reduced.places)
-    flat = reduced.columns.reshape(-1, k).astype(np.float32)
-    pull = (noise.reshape(len(noise), -1) @ flat).astype(np.float64)
-    normal = reduced.normal.sum(0)
-    whole = np.array([p @ scaled_step(normal, p) for p in pull])
-    return whole - np.array([p @ scaled_step(normal[:own, :own], p) for p in pull[:, :own]])
+def _fall(reduced: Reduced, noise: Surrogates, own: int) -> Float[np.ndarray, " draw"]:
+    """By how much the energy of noise falls with the candidate's numbers beyond what the model's own take."""
+    shape = *noise.innovations.shape, len(reduced.places)
+    pull, normal = noise.pull(reduced.columns.reshape(shape)), reduced.normal.sum(0)
+
+    def taken(k: int) -> np.ndarray:
+        return (pull[:, :k] * scaled_steps(normal[:k, :k], pull[:, :k])).sum(1)
+
+    return taken(len(normal)) - taken(own)

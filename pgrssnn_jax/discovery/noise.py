@@ -5,6 +5,8 @@
 Source of the second: wild bootstrap, Wu, Annals of Statistics 14, 1986.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float
@@ -38,13 +40,56 @@ def white_variance(
     return np.array([noise_floor(error[..., [j]], 1.0 * mask[..., [j]]) / max(mask[..., j].sum(), 1) for j in outputs])
 
 
+class Surrogates(NamedTuple):
+    """Surrogates by what they are made of, many and short: signs `[draw, seq, time]`, the innovations that they are put
+    to, and the filters of the outputs."""
+
+    signs: Float[np.ndarray, "draw seq time"]
+    innovations: Float[np.ndarray, "seq time y"]
+    filters: Float[np.ndarray, "y lag"]
+
+    def energy(self) -> Float[np.ndarray, " draw"]:
+        """Σ e² of every draw e."""
+        total = np.zeros(len(self.signs))
+        for j, f in enumerate(self.filters):
+            drawn = scipy.signal.lfilter([1.0], f, self.signs * self.innovations[..., j])
+            total += np.einsum("dst,dst->d", drawn, drawn)
+        return total
+
+    def pull(self, columns: Float[np.ndarray, "seq time y k"]) -> Float[np.ndarray, "draw k"]:
+        """Σ e c of every draw e and column c: the filter runs over the columns, backwards, and not over every draw."""
+        through = np.zeros((*columns.shape[:2], columns.shape[3]))
+        for j, f in enumerate(self.filters):
+            backwards = scipy.signal.lfilter([1.0], f, columns[:, ::-1, j], axis=1)
+            through += self.innovations[..., [j]] * backwards[:, ::-1]
+        return self.signs.reshape(len(self.signs), -1) @ through.reshape(-1, columns.shape[3])
+
+
+def surrogates_of(error: Float[np.ndarray, "seq time y"], draws: int, rng: np.random.Generator) -> Surrogates:
+    """Errors of the same colour that mean nothing."""
+    innovations, filters = _whitened(error)
+    return Surrogates(_signs(innovations, draws, rng), innovations, filters)
+
+
 def surrogates(
     error: Float[np.ndarray, "seq time y"], draws: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "draw seq time y"]:
-    """Errors of the same colour that mean nothing."""
+    """The same as arrays."""
+    return recoloured(*_whitened(error), draws, rng)
+
+
+def _whitened(
+    error: Float[np.ndarray, "seq time y"],
+) -> tuple[Float[np.ndarray, "seq time y"], Float[np.ndarray, "y lag"]]:
     filters = np.stack([autoregression(error[..., j]) for j in range(error.shape[2])])
-    innovations = np.stack([scipy.signal.lfilter(f, [1.0], error[..., j], axis=-1) for j, f in enumerate(filters)], -1)
-    return recoloured(innovations, filters, draws, rng)
+    innovations = [scipy.signal.lfilter(f, [1.0], error[..., j], axis=-1) for j, f in enumerate(filters)]
+    return np.stack(innovations, -1), filters
+
+
+def _signs(
+    innovations: Float[np.ndarray, "seq time y"], draws: int, rng: np.random.Generator
+) -> Float[np.ndarray, "draw seq time"]:
+    return rng.integers(0, 2, (draws, *innovations.shape[:2])) * 2.0 - 1.0
 
 
 def recoloured(
@@ -54,9 +99,10 @@ def recoloured(
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "draw seq time y"]:
     """A(z)⁻¹ s_t ε_t; outputs keep what they have in common, and all what they have at neighbouring times in size."""
-    signs = rng.integers(0, 2, (draws, *innovations.shape[:2], 1)) * 2.0 - 1.0
-    drawn = np.moveaxis(signs * innovations, -1, 0)
-    return np.stack([scipy.signal.lfilter([1.0], f, one) for f, one in zip(filters, drawn, strict=True)], -1)
+    signs, drawn = _signs(innovations, draws, rng), np.empty((draws, *innovations.shape))
+    for j, f in enumerate(filters):
+        drawn[..., j] = scipy.signal.lfilter([1.0], f, signs * innovations[..., j])
+    return drawn
 
 
 def autoregression(

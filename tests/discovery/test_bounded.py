@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from pgrssnn_jax.discovery.bounded import step_within
+from pgrssnn_jax.discovery.bounded import scaled_steps, step_within
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -37,3 +37,10 @@ def test_a_column_of_nothing_moves_nothing():
     np.testing.assert_allclose(
         step_within(normal, pull, np.full(2, -np.inf), np.full(2, np.inf)), [0.5, 0.0], atol=1e-6
     )
+
+
+def test_many_steps_without_bounds_are_those_of_each():
+    draw = np.random.default_rng(1)
+    columns = draw.standard_normal((30, 4)) * [1e-6, 1.0, 1e3, 1e6]
+    normal, pull = columns.T @ columns, draw.standard_normal((7, 30)) @ columns
+    np.testing.assert_allclose(scaled_steps(normal, pull) @ normal, pull, rtol=1e-6)

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pgrssnn_jax.discovery.noise import autoregression, correlation_time, noise_floor, recoloured, surrogates
+from pgrssnn_jax.discovery.noise import (
+    autoregression,
+    correlation_time,
+    noise_floor,
+    recoloured,
+    surrogates,
+    surrogates_of,
+)
 
 
 def white(sigma=0.3, shape=(2, 1500, 2), seed=0):
@@ -111,3 +118,12 @@ def test_surrogates_keep_how_outputs_go_together():
     one = np.cumsum(white(shape=(1, 200, 1)), 1)
     found = surrogates(np.concatenate([one, -2.0 * one], -1), 5, np.random.default_rng(1))
     np.testing.assert_allclose(found[..., 1], -2.0 * found[..., 0], rtol=1e-6, atol=1e-9)
+
+
+def test_energy_and_pull_of_surrogates_are_those_of_the_draws():
+    error = np.concatenate([coloured([0.9], (3, 80, 1)), white(0.5, (3, 80, 1), 1)], -1)
+    columns = white(1.0, (3, 80 * 2, 5), 2).reshape(3, 80, 2, 5)
+    drawn = surrogates(error, 20, np.random.default_rng(3))
+    kept = surrogates_of(error, 20, np.random.default_rng(3))
+    np.testing.assert_allclose(kept.energy(), (drawn**2).sum((1, 2, 3)), rtol=1e-10)
+    np.testing.assert_allclose(kept.pull(columns), np.einsum("dsty,styk->dk", drawn, columns), rtol=1e-8, atol=1e-8)
