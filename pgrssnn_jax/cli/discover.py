@@ -51,10 +51,11 @@ def checked(config: Mapping[str, Any], notify: Callable[[str], None]) -> tuple[S
     settings = replace(settings, accelerate=settings.accelerate and config["accelerate"])
     if config["resume"] is not None:
         raise ValueError(f"resume: expected null, because a discovery cannot be resumed, found {config['resume']!r}")
-    physics, train, test = load_experiment(config, lambda line: None)
+    of_training = {key: value for key, value in config.items() if key != "realisation"}
+    physics, train, test = load_experiment(of_training, lambda line: None)
     setup = set_up(
         physics, train, test, settings, settings_from_config(config),
-        effects=own_effects(settings.effects, physics), notify=notify,
+        effects=own_effects(settings.effects, physics), realisation=config["realisation"], notify=notify,
     )  # fmt: skip
     return setup, check_setup(setup, notify)
 

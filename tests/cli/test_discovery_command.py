@@ -164,6 +164,17 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(tmp_path):
     assert "physics.effects: expected a discovery.json, found 'none.json'" in said
 
 
+def test_one_of_several_realisations_is_looked_at():
+    data = ["+experiment=lgssm", "data.realisations=3", "data.generated=true"]
+    records = []
+    for number in range(3):
+        said: list[str] = []
+        setup, _ = checked(composed(*data, f"realisation={number}", name="discover"), said.append)
+        assert f"discovery looks at realisation {number} of 3" in said
+        records.append(np.asarray(setup.estimation.y))
+    assert len({record.tobytes() for record in records}) == 3
+
+
 def nothing(u, y):
     pass
 
@@ -202,6 +213,7 @@ def hole(u, y):
         (240, nothing, ["discovery.n_init=120"], "discovery.n_init: expected fewer than the 120 samples"),
         (240, nothing, ["discovery.p_value=0.005"], "discovery.p_value: expected at least 1 / 100"),
         (240, nothing, ["discovery.p_value=0.004", "discovery.draws=2000", "discovery.stretches=[60]"], "1 / 201"),
+        (240, nothing, ["realisation=1"], "realisation: expected 0 to 0, found 1"),
         (240, nothing, ["resume=run"], "resume: expected null, .* found 'run'"),
         (240, nothing, ["physics.effects=found.json"], "physics.effects: expected a discovery.json"),
         (240, nothing, ["physics.A=[[50.0]]"], "physics 'lgssm': expected a free run that stays finite"),
