@@ -31,6 +31,8 @@ from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Proved, Validations, train_validations, validations_on_test
 from pgrssnn_jax.discovery.verdict import (
     Judgement,
+    Verdict,
+    as_good_as_names,
     confirmed,
     judge,
     mostly_open,
@@ -166,6 +168,11 @@ def _judged(named: Named, corrected: Corrected, chosen: DiscoverySettings) -> Ju
 def _tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]) -> Tested:
     """Final numbers and validation; effects or a correction that the test record refutes are left out."""
     numbers, proved = _proved(named, setup, seconds)
+    with timed(seconds, "prove"):
+        judged, replaced = _with_better_correction(named, judged, setup, proved)
+    if replaced:
+        bare = _without_stand_ins(named, judged)
+        return Tested(*bare, *_proved(bare[0], setup, seconds), replaced)
     refuted = stand_ins_refuted(judged.judgement, proved.test.improvement)
     bare = _without_stand_ins(named, judged) if refuted else (named, judged)
     with timed(seconds, "prove"):
@@ -176,6 +183,24 @@ def _tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float
         return Tested(named, judged, numbers, proved, ())
     judged, refuted = _without_correction(named, judged, setup)
     return Tested(named, judged, numbers, proved, refuted)
+
+
+def _with_better_correction(
+    named: Named, judged: Judged, setup: Setup, proved: Proved
+) -> tuple[Judged, tuple[str, ...]]:
+    """Names that predict the estimation record no better than a correction in their place, and the test record worse,
+    stand for an unknown effect; and these names."""
+    selection, criteria = named.selection, setup.settings.criteria
+    rival = as_good_as_names(judged.judgement, selection, judged.nameless, criteria)
+    if rival is None:
+        return judged, ()
+    final = selection.final.estimate
+    low, _ = improvement_by_correction(judged.corrections, rival[1], named.nominal, final.guess, setup)
+    if low <= criteria.exact * max(proved.test.recalibrated.error - proved.floor, 0.0):
+        return judged, ()
+    judgement = judged.judgement._replace(verdict=Verdict.UNKNOWN_EFFECT, unnamed=rival)
+    told = _told(judged.corrections, named.how, selection, judgement)
+    return judged._replace(judgement=judgement, formula=told), final.active
 
 
 def _correction_helps(named: Named, judged: Judged, setup: Setup) -> bool:

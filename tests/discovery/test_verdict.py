@@ -1,6 +1,7 @@
 """What may be said: every verdict, from selections and corrections made by hand, in units of the noise."""
 
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from pgrssnn_jax.discovery.spectrum import Line
 from pgrssnn_jax.discovery.verdict import (
     Judgement,
     Verdict,
+    as_good_as_names,
     confirmed,
     judge,
     mostly_open,
@@ -36,7 +38,17 @@ def problem() -> Problem:
     return build_problem(physics, [e for e in catalogue(physics) if e.name in (NAME, RIVAL)], accelerate=False)
 
 
-def judged(
+class Examined(NamedTuple):
+    judgement: Judgement
+    selection: Selection
+    nameless: Nameless
+
+
+def judged(problem: Problem, *errors: float, **more: Any) -> Judgement:
+    return examined(problem, *errors, **more).judgement
+
+
+def examined(
     problem: Problem,
     recalibrated: float,
     named: float | None = None,
@@ -49,7 +61,7 @@ def judged(
     line: Line | None = None,
     follows: Follows | None = None,
     runs: np.ndarray | None = None,
-) -> Judgement:
+) -> Examined:
     """Energies of the recalibrated physics, with the named effect, and with a correction beside it or instead; nominal:
     errors relative to the recalibrated ones; runs: errors of the final model over whole sequences, where fits see
     segments."""
@@ -66,7 +78,8 @@ def judged(
 
     alone = None if named is None else corrected(base, instead)
     nameless = Nameless(corrected(final, beside), alone, line, follows)
-    return judge(problem, selection, nameless, nominal * first.rms(), Criteria())
+    judgement = judge(problem, selection, nameless, nominal * first.rms(), Criteria())
+    return Examined(judgement, selection, nameless)
 
 
 @pytest.mark.parametrize(
@@ -182,6 +195,28 @@ def test_where_fits_see_segments_a_correction_must_certainly_come_nearer(problem
 @pytest.mark.parametrize(("p_value", "expected"), [(0.04, Verdict.UNKNOWN_EFFECT), (0.06, Verdict.EFFECT_FOUND)])
 def test_in_the_place_of_names_a_correction_has_their_p_value_to_spend(problem, p_value, expected):
     assert judged(problem, 400.0, 9.0, instead=4.0, p_value=p_value).verdict is expected
+
+
+@pytest.mark.parametrize(
+    ("instead", "p_value", "expected"),
+    [
+        (9.0, CERTAIN, True),
+        (8.99, CERTAIN, True),
+        (9.0, 0.06, False),  # as likely by chance
+        (36.0, CERTAIN, False),  # the names predict better
+        (4.0, CERTAIN, False),  # it predicts better, and is known already
+        (None, CERTAIN, False),
+    ],
+)
+def test_a_correction_in_the_place_of_names_may_be_as_good(problem, instead, p_value, expected):
+    found = examined(problem, 400.0, 9.0, instead=instead, p_value=p_value)
+    rival = as_good_as_names(*found, Criteria())
+    assert (rival is not None) is expected
+    assert rival is None or rival[1].name == CORRECTION
+
+
+def test_nothing_is_as_good_as_no_name(problem):
+    assert as_good_as_names(*examined(problem, 1.0), Criteria()) is None
 
 
 @pytest.mark.parametrize(
