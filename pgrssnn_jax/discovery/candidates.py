@@ -12,7 +12,7 @@ from pgrssnn_jax.discovery import likelihood
 from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, signal_range_of
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import added, linearisation, linearised, runs, visible
-from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.noise import above_white_noise, noise_floor
 from pgrssnn_jax.discovery.null import LEAST_GAIN, Null, nats, null_distribution
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.process_noise import models_along
@@ -134,7 +134,7 @@ def score_candidates(
     few = [*known, *(Candidate(guess.active[-1], gain(low), guess) for guess, low in _best_of_each(rough))]
     few.sort(key=lambda c: -c.gain)
     null = _null(problem, signals, (at, named), few[0] if few else None, settings, criteria, rng)
-    clear = base.estimate.cost > criteria.clear**2 * noise_floor(base.estimate.error, signals.weight)
+    clear = above_white_noise(base.estimate.error, signals.weight, criteria.clear)
     hopeful = clear or any(null.p_value(c.name, c.gain) <= criteria.hopeless for c in few)
     fitted = _fitted(problem, signals, _finalists(rough, criteria.finalists), settings, criteria) if hopeful else []
     found = [Candidate(m.estimate.active[-1], gain(low), m.estimate.guess, m) for m, low in fitted]

@@ -16,7 +16,7 @@ from pgrssnn_jax.discovery.estimate import Guess, evaluate
 from pgrssnn_jax.discovery.identify import Combination, Departure, Numbers, final_numbers
 from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
-from pgrssnn_jax.discovery.noise import longest_memory
+from pgrssnn_jax.discovery.noise import above_white_noise, longest_memory
 from pgrssnn_jax.discovery.nonparametric import Corrections
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.responses import path_of
@@ -189,12 +189,11 @@ def _with_better_correction(
     named: Named, judged: Judged, setup: Setup, proved: Proved
 ) -> tuple[Judged, tuple[str, ...]]:
     """Names that predict the estimation record no better than a correction in their place, and the test record worse,
-    stand for an unknown effect; and these names."""
+    stand for an unknown effect; and these names. Errors with a memory are too few to compare on one record."""
     selection, criteria = named.selection, setup.settings.criteria
-    rival = as_good_as_names(judged.judgement, selection, judged.nameless, criteria)
-    if rival is None:
+    rival, final = as_good_as_names(judged.judgement, selection, judged.nameless, criteria), selection.final.estimate
+    if rival is None or above_white_noise(final.error, named.how.signals(named.problem).weight, criteria.clear):
         return judged, ()
-    final = selection.final.estimate
     low, _ = improvement_by_correction(judged.corrections, rival[1], named.nominal, final.guess, setup)
     if low <= criteria.exact * max(proved.test.recalibrated.error - proved.floor, 0.0):
         return judged, ()

@@ -32,6 +32,13 @@ def noise_floor(error: Float[np.ndarray, "seq time y"], weight: Float[np.ndarray
     return min(total, float((error**2).sum()))
 
 
+def above_white_noise(
+    error: Float[np.ndarray, "seq time y"], weight: Float[np.ndarray, "seq time y"], ratio: float
+) -> bool:
+    """Are weighted errors larger than the white noise in them by more than this ratio?"""
+    return float((error**2).sum()) > ratio**2 * noise_floor(error, weight)
+
+
 def white_variance(
     error: Float[np.ndarray, "seq time y"], mask: Bool[np.ndarray, "seq time y"]
 ) -> Float[np.ndarray, " y"]:

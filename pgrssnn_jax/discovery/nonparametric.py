@@ -15,7 +15,7 @@ from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.flexible import families
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import Linearised, linearised
-from pgrssnn_jax.discovery.noise import noise_floor
+from pgrssnn_jax.discovery.noise import above_white_noise
 from pgrssnn_jax.discovery.null import beside, nats, null_distribution, orthonormal
 from pgrssnn_jax.discovery.problem import Problem, Signals, carried
 from pgrssnn_jax.discovery.process_noise import models_of
@@ -64,7 +64,7 @@ def score_corrections(
     promised = {name: float(nats(fall, size)) for name, fall in zip(columns, falls, strict=True)}
     closed = {name: CURVED * _closed(base, size, fall) for name, fall in zip(columns, falls, strict=True)}
     names = sorted(promised, key=lambda name: -promised[name])
-    clear = base.estimate.cost > criteria.clear**2 * noise_floor(base.estimate.error, signals.weight)
+    clear = above_white_noise(base.estimate.error, signals.weight, criteria.clear)
     likely = [n for n in names if clear or null.p_value(n, promised[n]) <= criteria.hopeless]
     hopeful = [n for n in likely if closed[n] >= least]
     fitted = [_fitted(corrections, base, name, responses[name], criteria.block) for name in hopeful[:_FINALISTS]]
