@@ -170,13 +170,10 @@ def _tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float
     numbers, proved = _proved(named, setup, seconds)
     with timed(seconds, "prove"):
         judged, replaced = _with_better_correction(named, judged, setup, proved)
-    if replaced:
-        bare = _without_stand_ins(named, judged)
-        return Tested(*bare, *_proved(bare[0], setup, seconds), replaced)
-    refuted = stand_ins_refuted(judged.judgement, proved.test.improvement)
+    refuted = replaced or stand_ins_refuted(judged.judgement, proved.test.improvement)
     bare = _without_stand_ins(named, judged) if refuted else (named, judged)
     with timed(seconds, "prove"):
-        helps = _correction_helps(*bare, setup)
+        helps = bool(replaced) or _correction_helps(*bare, setup)
     if refuted and helps:
         return Tested(*bare, *_proved(bare[0], setup, seconds), refuted)
     if refuted or helps:
@@ -188,8 +185,9 @@ def _tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float
 def _with_better_correction(
     named: Named, judged: Judged, setup: Setup, proved: Proved
 ) -> tuple[Judged, tuple[str, ...]]:
-    """Names that predict the estimation record no better than a correction in their place, and the test record worse,
-    stand for an unknown effect; and these names. Errors with a memory are too few to compare on one record."""
+    """Named effects that predict the estimation record no better than a correction in their place, and the test record
+    worse, stand for an unknown effect. The judgement that says so, and their names. Where errors have a memory, one
+    record holds too few independent ones to compare."""
     selection, criteria = named.selection, setup.settings.criteria
     rival, final = as_good_as_names(judged.judgement, selection, judged.nameless, criteria), selection.final.estimate
     if rival is None or above_white_noise(final.error, named.how.signals(named.problem).weight, criteria.clear):
@@ -199,7 +197,7 @@ def _with_better_correction(
         return judged, ()
     judgement = judged.judgement._replace(verdict=Verdict.UNKNOWN_EFFECT, unnamed=rival)
     told = _told(judged.corrections, named.how, selection, judgement)
-    return judged._replace(judgement=judgement, formula=told), final.active
+    return judged._replace(judgement=judgement, formula=told), tuple(judgement.alternatives)
 
 
 def _correction_helps(named: Named, judged: Judged, setup: Setup) -> bool:

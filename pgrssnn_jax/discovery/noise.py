@@ -48,8 +48,8 @@ def white_variance(
 
 
 class Surrogates(NamedTuple):
-    """Surrogates by what they are made of, many and short: signs `[draw, seq, time]`, the innovations that they are put
-    to, and the filters of the outputs."""
+    """Draws A(z)⁻¹ s_t ε_t, kept as signs s, innovations ε and filters A of the outputs: as arrays, a
+    thousand draws take a thousand times the memory of the record."""
 
     signs: Float[np.ndarray, "draw seq time"]
     innovations: Float[np.ndarray, "seq time y"]

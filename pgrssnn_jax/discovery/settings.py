@@ -30,7 +30,8 @@ class Criteria(NamedTuple):
     further: float = 0.05  # sum of the p-values of all effects that are named beside one that reaches it
     share: float = 0.02  # least part of the gap that an effect closes: below, it is not worth a name
     rest: float = 0.5  # or of the part that others leave, where it is `certain`
-    exact: float = 0.002  # but at least this part of the gap: the laws of effects hold no better between two samples
+    exact: float = 0.002  # but at least this part of the gap: the laws of effects hold no better between two samples.
+    # By as much a correction that takes the place of names predicts the test record better
     standard_errors: float = 1.0  # by which an effect predicts left-out blocks better
     certain: float = 3.0  # the same for less than `share` and for elaborate effects; and by which runs over whole
     # sequences come nearer by effects and corrections, where fits see segments

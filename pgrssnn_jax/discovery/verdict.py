@@ -158,19 +158,17 @@ def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tu
 def as_good_as_names(
     judgement: Judgement, selection: Selection, nameless: Nameless, criteria: Criteria
 ) -> tuple[Screening, Candidate] | None:
-    """Of the corrections in the place of named effects the one that predicts left-out blocks best, where the names do
-    not predict them better and nothing else was found: the estimation record does not tell the two apart."""
+    """The best correction in the place of named effects, where the estimation record cannot tell the two apart: by its
+    left-out blocks the effects are no better within two standard errors, and nothing else was found."""
     final, screening = selection.final, nameless.alone
     named = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     if not named or screening is None:
         return None
-    significant = [c for c in screening.candidates if c.model and screening.p_value(c) <= criteria.further]
-    if not significant:
-        return None
-    best = max(significant, key=lambda c: c.model.score if c.model else -np.inf)
-    assert best.model is not None
-    worse, error = final.better_than(best.model)
-    return (screening, best) if worse <= _BETTER * error else None
+    for best in screening.candidates:  # by their scores
+        if best.model is not None and screening.p_value(best) <= criteria.further:
+            worse, error = final.better_than(best.model)
+            return (screening, best) if worse <= _BETTER * error else None
+    return None
 
 
 def _compared(one: Model, other: Model) -> tuple[float, float]:

@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from pgrssnn_jax.discovery.noise import (
+    above_white_noise,
     autoregression,
     correlation_time,
     noise_floor,
@@ -127,3 +128,11 @@ def test_energy_and_pull_of_surrogates_are_those_of_the_draws():
     kept = surrogates_of(error, 20, np.random.default_rng(3))
     np.testing.assert_allclose(kept.energy(), (drawn**2).sum((1, 2, 3)), rtol=1e-10)
     np.testing.assert_allclose(kept.pull(columns), np.einsum("dsty,styk->dk", drawn, columns), rtol=1e-8, atol=1e-8)
+
+
+def test_errors_that_vary_slowly_are_above_their_white_noise():
+    error = white()
+    assert not above_white_noise(error, np.ones(error.shape), 1.1)
+    slow = np.sin(np.arange(1500) / 40)[None, :, None] + error  # RMS 0.77 over noise of 0.3
+    assert above_white_noise(slow, np.ones(slow.shape), 2.0)
+    assert not above_white_noise(slow, np.ones(slow.shape), 3.0)
