@@ -52,18 +52,18 @@ def main() -> None:
     arguments = _arguments()
     jax.config.update("jax_num_cpu_devices", arguments.devices)
     console, code = Console(width=160), digest()
-    known = _known(arguments.json, code)
+    known = known_rows(arguments.json, code)
     rows = []
     for system in arguments.systems:
         problems: list[tuple[Problem, Corrected]] = []
         for seed in arguments.seeds:
             for plan in suite.plans(system, arguments.cases, seed, arguments.kinds, arguments.noises):
                 plan = plan._replace(in_other_units=arguments.units and system != "arm")
-                row = known.get(_key(plan))
+                row = known.get(key_of(plan))
                 if row is None:
                     row = run_case(plan, problems) | {"code": code}
                     console.print(_line(row), soft_wrap=True, highlight=False)
-                    _append(arguments.json, row)
+                    append_row(arguments.json, row)
                 rows.append(row)
     console.print(scores(rows))
 
@@ -199,11 +199,11 @@ def digest() -> str:
     return found.hexdigest()[:12]
 
 
-def _key(plan: Plan) -> str:
+def key_of(plan: Plan) -> str:
     return json.dumps(plan._asdict(), sort_keys=True)
 
 
-def _known(file: Path | None, code: str) -> dict[str, Row]:
+def known_rows(file: Path | None, code: str) -> dict[str, Row]:
     """Rows of an earlier run by their plans."""
     if file is None or not file.exists():
         return {}
@@ -212,7 +212,7 @@ def _known(file: Path | None, code: str) -> dict[str, Row]:
     return {json.dumps({k: row[k] for k in fields}, sort_keys=True): row for row in rows if row["code"] == code}
 
 
-def _append(file: Path | None, row: Row) -> None:
+def append_row(file: Path | None, row: Row) -> None:
     if file is not None:
         with file.open("a", encoding="utf-8") as out:
             out.write(json.dumps(row) + "\n")

@@ -1,27 +1,29 @@
 """What does each number that decides change? python benchmarks/sensitivity.py [--cases 8] [--systems pendulum duffing]
-[--kinds none single] [--noises white ar95 ...] [--seed 0].
+[--kinds none single] [--noises white ar95 ...] [--seed 0] [--json FILE].
 
 Every field of `Criteria` is halved and doubled, one at a time, and every case is decided again. Prints per field how
 many verdicts or names change, and how many right answers are lost and won. Screenings that a field does not touch are
-made once, with random numbers of their own, so that a change of the outcome is one of the field.
+made once, with random numbers of their own, so that a change of the outcome is one of the field. FILE holds a row per
+case, one a line: cases that are in it are not run again, as in `discovery.py`.
 """
 
 import argparse
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from discovery import setup_of
+from discovery import append_row, digest, key_of, known_rows, setup_of
 from hidden import suite
 from hidden.case import SYSTEMS, Case
 from hidden.noise import KINDS as NOISES
-from hidden.score import is_right
-from hidden.suite import KINDS
+from hidden.score import Row, is_right
+from hidden.suite import KINDS, Plan
 from rich.console import Console
 from rich.table import Table
 
@@ -60,31 +62,46 @@ class Varied(DiscoverySettings):
 
 class Outcome(NamedTuple):
     verdict: str
-    names: frozenset[str]
+    names: list[str]
     right: bool
 
 
 def main() -> None:
-    arguments = _arguments()
-    jax.config.update("jax_num_cpu_devices", 2)
-    known: dict[Any, Any] = {}
+    arguments, known, code = _arguments(), dict[Any, Any](), digest()
+    jax.config.update("jax_num_cpu_devices", arguments.devices)
+    stored, rows = known_rows(arguments.json, code), list[Row]()
     for module, function in _ONCE:
         setattr(module, function.__name__, _remembered(function, known))
-    counts: dict[tuple[str, str], Counter[str]] = {}
-    total = 0
     for system in arguments.systems:
-        kept: tuple[Problem, Corrected] | None = None
+        kept: list[tuple[Problem, Corrected]] = []
         for plan in suite.plans(system, arguments.cases, arguments.seed, arguments.kinds, arguments.noises):
-            known.clear()
-            case, total = suite.build(plan), total + 1
-            setup = setup_of(case, plan.removed)
-            kept = kept or (build_problem(setup.physics, setup.first_effects, fixed=setup.settings.fixed), Corrected())
-            usual = _outcome(kept, case, plan.kind, setup, {})
-            print(f"{system} {plan.seed} {plan.noise_kind}: {' + '.join(plan.truth) or 'none'} -> {usual}", flush=True)
-            for name, way, value in variations():
-                other = _outcome(kept, case, plan.kind, setup, {name: value})
-                counts.setdefault((name, way), Counter()).update(_differences(usual, other))
-    Console(width=120).print(_table(counts, total))
+            row = stored.get(key_of(plan))
+            if row is None:
+                known.clear()
+                row = _row(plan, kept) | {"code": code}
+                append_row(arguments.json, row)
+            rows.append(row)
+            print(_line(row), flush=True)
+    Console(width=120).print(_table(rows))
+
+
+def _row(plan: Plan, kept: list[tuple[Problem, Corrected]]) -> Row:
+    """The outcomes of one case; kept: compiled with the first case of a system."""
+    case = suite.build(plan)
+    setup = setup_of(case, plan.removed)
+    if not kept:
+        problem = build_problem(setup.physics, setup.first_effects, fixed=setup.settings.fixed)
+        kept.append((problem, Corrected()))
+    others = {f"{name} {way}": _outcome(kept[0], case, plan.kind, setup, {name: v}) for name, way, v in variations()}
+    return {**plan._asdict(), "usual": _outcome(kept[0], case, plan.kind, setup, {}), "others": others}
+
+
+def _line(row: Row) -> str:
+    usual, truth = Outcome(*row["usual"]), " + ".join(row["truth"]) or "none"
+    changed = [name for name, other in row["others"].items() if Outcome(*other)[:2] != usual[:2]]
+    mark = "right" if usual.right else "WRONG"
+    said = f"{usual.verdict} {' + '.join(usual.names)}".strip()
+    return f"{mark} {row['system']} {row['seed']} {row['noise_kind']}: {truth} -> {said}; changed by {changed}"
 
 
 def variations() -> Iterator[tuple[str, str, Any]]:
@@ -101,7 +118,7 @@ def _outcome(
     problem = kept[0].with_numbers(setup.physics.params)
     found = discover_in(problem, setup._replace(settings=settings), lambda line: None, kept[1])
     names, verdict = found.selection.final.estimate.active, str(found.judgement.verdict)
-    return Outcome(verdict, frozenset(names), is_right(case, kind, names, verdict))
+    return Outcome(verdict, sorted(names), is_right(case, kind, names, verdict))
 
 
 def _differences(usual: Outcome, other: Outcome) -> dict[str, int]:
@@ -142,11 +159,16 @@ def _fingerprint(leaf: Any) -> Any:
     return leaf if isinstance(leaf, int | float | str) else None
 
 
-def _table(counts: Mapping[tuple[str, str], Counter[str]], total: int) -> Table:
+def _table(rows: Sequence[Row]) -> Table:
     columns = ("criterion", "value", "halved: changed", "right lost", "won", "doubled: changed", "right lost", "won")
-    table = Table(*columns, title=f"{total} cases")
+    table = Table(*columns, title=f"{len(rows)} cases")
     for name, value in Criteria()._asdict().items():
-        cells = [str(counts[name, way][what]) for way in ("half", "twice") for what in ("changed", "lost", "won")]
+        counts = Counter[tuple[str, str]]()
+        for way in ("half", "twice"):
+            for row in rows:
+                usual, other = Outcome(*row["usual"]), Outcome(*row["others"][f"{name} {way}"])
+                counts.update({(way, what): int(is_so) for what, is_so in _differences(usual, other).items()})
+        cells = [str(counts[way, what]) for way in ("half", "twice") for what in ("changed", "lost", "won")]
         table.add_row(name, f"{value:g}", *cells)
     return table
 
@@ -158,6 +180,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--kinds", nargs="+", default=["none", "single"], choices=KINDS)
     parser.add_argument("--noises", nargs="+", default=["white", "ar95", "heavy", "state"], choices=NOISES)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--devices", type=int, default=2)
+    parser.add_argument("--json", type=Path)
     return parser.parse_args()
 
 
