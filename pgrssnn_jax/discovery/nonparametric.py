@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, ranked, white_noise
+from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, nominal, ranked, white_noise
 from pgrssnn_jax.discovery.corrected import Corrected, numbers_of
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.flexible import families
@@ -106,14 +106,15 @@ def _closed(base: Model, size: int, fall: float) -> float:
 
 
 def _fitted(corrections: Corrections, base: Model, name: str, response: Response, block: int) -> Candidate:
-    """In its own problem, from a correction that does nothing."""
+    """In its own problem, from a correction that does nothing, beside the model and the nominal physics."""
     problem, settings = corrections.by(name), corrections.settings
     signals = corrections.signals(problem)
     theta, x0 = carried(corrections.problem, problem, base.estimate.theta, base.estimate.x0, signals.start)
     effect, numbers = numbers_of(problem.physics, name, response.low, response.high)
     start = Guess((*base.estimate.active, effect), problem.put(theta, effect, numbers), x0)
     few = settings._replace(lanes=settings.devices)
-    ((guess, cost),) = fit_all(problem, signals, [start], few)
+    fits = fit_all(problem, signals, [start, nominal(problem, signals, start)], few)
+    guess, cost = min(fits, key=lambda found: found[1])
     (model,) = fitted_models(problem, signals, [guess], few, block)
     before = base.estimate.cost + corrections.problem.penalty(base.estimate.theta)
     gain = nats(1.0 - cost / before, signals.size)
