@@ -94,8 +94,9 @@ def _on_segments(
         return partial(score_linearised, problem, signals(problem), whole=whole(problem), **common)
 
     def refitted(problem: Problem, signals: Signals, model: Model) -> Guess:
+        """In a program of its own, whatever it has places for, because these segments have other lengths."""
         guess = Guess(model.estimate.active, model.estimate.theta, signals.start)
-        ((found, _),) = fit_all(problem, signals, [guess], settings)
+        ((found, _),) = fit_all(problem, signals, [guess], settings._replace(spare=Settings().spare))
         return found
 
     def finish(problem: Problem, selection: Selection) -> Selection:
