@@ -13,7 +13,8 @@ from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, s
 from pgrssnn_jax.discovery.likelihood import Linearisation, noise_of
 from pgrssnn_jax.discovery.linearise import added, linearisation, linearised, runs, visible
 from pgrssnn_jax.discovery.noise import above_white_noise, noise_floor
-from pgrssnn_jax.discovery.null import LEAST_GAIN, Null, nats, null_distribution
+from pgrssnn_jax.discovery.null import Null, nats, null_distribution
+from pgrssnn_jax.discovery.predictive import log_likelihood, with_standard_error
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.process_noise import models_along
 from pgrssnn_jax.discovery.process_null import Fitted, against_process_noise
@@ -39,19 +40,15 @@ class Model(NamedTuple):
 
     @property
     def blocks(self) -> Float[np.ndarray, " block"]:
-        """Predictive log-likelihood of every block."""
-        variance = max(float(self.squares.sum() / self.counts.sum()), 1e-300)
-        return -0.5 * (self.counts * np.log(2.0 * np.pi * variance) + self.squares / variance)
+        return log_likelihood(self.squares, self.counts)
 
     @property
     def score(self) -> float:
         return float(self.blocks.sum())
 
     def better_than(self, other: "Model") -> tuple[float, float]:
-        """Difference of the predictive log-likelihoods, and its standard error over blocks, no smaller than what fits
-        leave undone when they end."""
-        difference = self.blocks - other.blocks
-        return float(difference.sum()), max(float(len(difference) ** 0.5 * difference.std(ddof=1)), LEAST_GAIN)
+        """Difference of the predictive log-likelihoods, and its standard error over blocks."""
+        return with_standard_error(self.blocks - other.blocks)
 
     def nearer_than(self, other: "Model") -> tuple[float, float]:
         """Mean log ratio of the squared errors of runs over whole sequences, and its standard error over sequences:

@@ -21,6 +21,7 @@ from pgrssnn_jax.discovery.estimate import Estimate, Guess, Settings, fit_all, s
 from pgrssnn_jax.discovery.least_squares import Lanes, sensitivity, simulate
 from pgrssnn_jax.discovery.noise import Surrogates, surrogates_of
 from pgrssnn_jax.discovery.null import nats, null_of
+from pgrssnn_jax.discovery.predictive import log_likelihood, with_standard_error
 from pgrssnn_jax.discovery.problem import Problem, Signals
 from pgrssnn_jax.discovery.settings import Criteria
 
@@ -40,6 +41,15 @@ class Sensitivities(NamedTuple):
     error: Float[np.ndarray, "s n"]
     starts: Float[np.ndarray, "s n x"]
     columns: Float[np.ndarray, "s n k"]
+
+
+class Promise(NamedTuple):
+    """What one linear step promises of a candidate, or of the model itself: its cost, and the squared errors of every
+    stretch left out."""
+
+    guess: Guess
+    cost: float
+    squares: Float[np.ndarray, " s"]
 
 
 class Reduced(NamedTuple):
@@ -68,8 +78,8 @@ def score_linearised(
     least: float = 0.0,
 ) -> Screening:
     """As `candidates.score_candidates`: candidates are ranked by one linear step each, and the best are then fitted,
-    where they promise to lower the RMS error by the share `least`. An effect that lowers it little on segments may
-    close the gap of whole sequences.
+    where they promise to lower the RMS error by the share `least` and to predict left-out sequences better. An effect
+    that lowers it little on segments may close the gap of whole sequences.
 
     signals: the segments; whole: sequences uncut, with their starts, for the free run that has the last word.
     """
@@ -80,11 +90,12 @@ def score_linearised(
     own = _free(problem, guess)
     noise = surrogates_of(base.estimate.error, min(criteria.draws, DRAWS), rng)
     size = signals.size
-    cost, promises, falls = _promised(problem, signals, guess, own, without, noise)
-    null = null_of({name: nats(fall, size) for name, fall in falls.items()})
-    promises = [c._replace(gain=float(nats(c.gain, size))) for c in promises]
+    alone, promised, falls = _promised(problem, signals, guess, own, without, noise)
+    cost, null = alone.cost, null_of({name: nats(fall, size) for name, fall in falls.items()})
+    promises = [Candidate(name, float(nats(1.0 - p.cost / cost, size)), p.guess) for name, p in promised.items()]
     hopeful = [c for c in promises[:_FINALISTS] if null.p_value(c.name, c.gain) <= criteria.hopeless]
     hopeful = [c for c in hopeful if 1.0 - np.exp(-c.gain / size) >= least]
+    hopeful = [c for c in hopeful if _predicts_better(promised[c.name], alone, signals, criteria)]
     found = [c for c in promises if c.name not in {h.name for h in hopeful}]
     best = np.inf
     for candidate in hopeful:
@@ -101,22 +112,27 @@ def score_linearised(
 
 def _promised(
     problem: Problem, signals: Signals, base: Guess, own: np.ndarray, without: Sequence[str], noise: Surrogates
-) -> tuple[float, list[Candidate], dict[str, np.ndarray]]:
-    """Cost of the base, what one linear step promises of every candidate, the best first, and the fall that each brings
-    in every draw of noise."""
+) -> tuple[Promise, dict[str, Promise], dict[str, np.ndarray]]:
+    """Of the base, of every candidate, the best first, and the fall that each brings in every draw of noise."""
     fold, energy = signals.block[:, 0], np.maximum(noise.energy(), 1e-300)
-    best: dict[str, tuple[float, Guess]] = {}
+    best: dict[str, Promise] = {}
     falls: dict[str, np.ndarray] = {}
     (alone,) = _linearised(problem, signals, base, [own], own)
-    cost, _, _ = _solve(alone, fold)
     for guess, reduced in _candidates(problem, signals, base, own, without):
-        left, _, _ = _solve(reduced, fold)
+        promise = Promise(guess, *_solve(reduced, fold)[:2])
         name, fall = guess.active[-1], _fall(reduced, noise, len(own)) / energy
         falls[name] = np.maximum(falls.get(name, 0.0), fall)
-        if name not in best or left < best[name][0]:
-            best[name] = (left, guess)
-    ranked = sorted(best.items(), key=lambda item: item[1][0])
-    return cost, [Candidate(name, 1.0 - left / cost, guess) for name, (left, guess) in ranked], falls
+        if name not in best or promise.cost < best[name].cost:
+            best[name] = promise
+    ranked = sorted(best.items(), key=lambda item: item[1].cost)
+    return Promise(base, *_solve(alone, fold)[:2]), dict(ranked), falls
+
+
+def _predicts_better(one: Promise, base: Promise, signals: Signals, criteria: Criteria) -> bool:
+    """Does a linear step predict left-out sequences better by as much as is asked of a fit?"""
+    counts = np.full(len(one.squares), signals.y[0].size)
+    better, error = with_standard_error(log_likelihood(one.squares, counts) - log_likelihood(base.squares, counts))
+    return better > criteria.standard_errors * error
 
 
 def segment_model(problem: Problem, signals: Signals, fitted: Guess, whole: Signals) -> Model:
