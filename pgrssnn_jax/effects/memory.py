@@ -2,7 +2,8 @@
 
     u'_t, m_t = advance(n, m_{t-1}, u_t)        x_t = step(p, x_{t-1}, u'_t)        y_t = measure(p, x_t, u'_t)
 
-An output that depends on the input directly, an acceleration say, is read after the step: then u'_t is remembered too.
+An output that depends on the input directly, an acceleration say, is read after the step: then u'_t is remembered too,
+or the memory itself is what acts at the end of the sample.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,11 +21,15 @@ def with_memory(
     name: str,
     memory: Sequence[Signal],
     advance: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]],
+    *,
+    acts_at_end: bool = False,
 ) -> Physics:
     """`u', memory' = advance(n, memory, u)`: the physics sees u', and its state gains the memory at its end; n: numbers
-    of the effect."""
+    of the effect; acts_at_end: the memory, one number per input, is what acts at the end of the sample, where u' is a
+    mean over it."""
     n, direct = len(physics.states), reads_input(physics)
-    end, late = n + len(memory), direct and physics.output_timing == "after_step"
+    end, after = n + len(memory), physics.output_timing == "after_step"
+    late = direct and after and not acts_at_end
     acting = [Signal(f"{s.name}_after_{name}", s.unit, memory_of=s.name) for s in physics.inputs if late]
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
@@ -32,8 +37,10 @@ def with_memory(
         return jnp.concatenate([physics.step(p, x[:n], u), kept, *([u] if late else [])])
 
     def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        if direct:
-            u = x[end : end + len(acting)] if late else advance(p.effects[name], x[n:end], u)[0]
+        if direct and after:
+            u = x[n:end] if acts_at_end else x[end : end + len(acting)]
+        elif direct:
+            u, _ = advance(p.effects[name], x[n:end], u)
         return physics.measure(p, x[:n], u)
 
     return physics._replace(step=step, measure=measure, states=(*physics.states, *memory, *acting))

@@ -165,10 +165,11 @@ def input_dead_zone(physics: Physics) -> Effect:
 
 
 def input_lag(physics: Physics) -> Effect:
-    n, dt, memory = len(physics.inputs), physics.dt, memory_signals(physics, "lagged", 1)
+    n, dt = len(physics.inputs), physics.dt
+    memory = [signal._replace(fit_initial=True) for signal in memory_signals(physics, "lagged", 1)]
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """What acts is the mean over the sample: its value at the end would be half a sample ahead."""
+        """What moves the state is the mean over the sample: the value at its end would be half a sample ahead."""
         tau = p["time_constant"]
         slow = tau > 0.0
         samples = jnp.where(slow, tau, 1.0) / dt  # no 0/0 in the gradient at τ = 0
@@ -186,7 +187,7 @@ def input_lag(physics: Physics) -> Effect:
         shapes={"time_constant": of_inputs(n)},
         channels="input" if n > 1 else "",
         initial_guesses=lambda span: [{"time_constant": np.full(of_inputs(n), k * dt)} for k in (1.0, 3.0, 8.0)],
-        wrap=lambda inner: with_memory(inner, "input_lag", [s._replace(fit_initial=True) for s in memory], advance),
+        wrap=lambda inner: with_memory(inner, "input_lag", memory, advance, acts_at_end=True),
         needs=remembered_inputs(physics),
         simpler=("input_delay",),  # a lag below one sample is a delay
     )

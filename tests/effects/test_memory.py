@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Float
+from scipy.integrate import solve_ivp
 
 import pgrssnn_jax as pg
 from pgrssnn_jax.effects.memory import reads_input
@@ -34,13 +35,14 @@ def late(u: np.ndarray, samples: int) -> np.ndarray:
     return np.concatenate([np.repeat(u[:1], samples, 0), u[: len(u) - samples]])
 
 
-def lagged(u: np.ndarray, kept: float) -> np.ndarray:
-    """Mean of a first-order lag over each sample."""
-    z, found = u[0], []
+def lagged(u: np.ndarray, kept: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of a first-order lag over each sample, and its value at the end."""
+    z, mean, last = u[0], [], []
     for now in u:
-        found.append(now + (z - now) * (1.0 - kept) / -np.log(kept))
+        mean.append(now + (z - now) * (1.0 - kept) / -np.log(kept))
         z = now + kept * (z - now)
-    return np.array(found)
+        last.append(z)
+    return np.array(mean), np.array(last)
 
 
 def played(u: np.ndarray, half: float) -> np.ndarray:
@@ -56,7 +58,6 @@ def played(u: np.ndarray, half: float) -> np.ndarray:
     ("name", "number", "acting"),
     [
         ("input_delay", {"delay": 0.3}, lambda u: late(u, 3)),
-        ("input_lag", {"time_constant": 0.2}, lambda u: lagged(u, np.exp(-0.5))),
         ("backlash", {"half_width": 0.3}, lambda u: played(u, 0.3)),
     ],
 )
@@ -68,6 +69,32 @@ def test_an_output_that_depends_on_the_input_sees_what_acts(name, number, acting
     found = free_run(pg.add(physics, name, **number), u)
     np.testing.assert_allclose(found, free_run(physics, acting(u)), rtol=1e-4, atol=1e-5)
     assert np.abs(found - free_run(physics, u))[:, 1].max() > 0.1
+
+
+@pytest.mark.parametrize("timing", ["after_step", "before_step"])
+def test_an_output_is_read_with_the_lagged_input_at_the_end_of_the_sample(timing):
+    """The mean over the sample, which moves the state, was true half a sample before; with the state before the step
+    it is the best that is known."""
+    physics, u = slider(timing), np.random.default_rng(1).normal(size=(SAMPLES, 1))
+    u[0] = 0.0
+    mean, last = lagged(u, np.exp(-0.5))
+    speed = free_run(physics, mean)[:, :1]
+    acting = last if timing == "after_step" else mean
+    expected = np.hstack([speed, 2.0 * acting - speed])
+    found = free_run(pg.add(physics, "input_lag", time_constant=0.2), u)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_a_lagged_acceleration_agrees_with_small_steps():
+    """dz/dt = (u - z) / T, dv/dt = 2 z - v, both read at the end of the sample; scipy with tight tolerances."""
+    u, t, dt = np.random.default_rng(3).normal(size=(SAMPLES, 1)), 0.2, 0.1
+    u[0], at, expected, flow = 0.0, np.zeros(2), [], np.array([[-1.0 / t, 0.0], [2.0, -1.0]])
+    for now in u[:, 0]:
+        run = solve_ivp(lambda _, s, now=now: flow @ s + [now / t, 0.0], (0.0, dt), at, rtol=1e-9, atol=1e-12)
+        at = run.y[:, -1]
+        expected.append([at[1], 2.0 * at[0] - at[1]])
+    found = free_run(pg.add(slider("after_step"), "input_lag", time_constant=t), u)
+    assert np.abs(found - expected).max() < 0.02 * np.std(expected)
 
 
 def test_effects_with_memory_follow_one_another():
@@ -85,5 +112,6 @@ def test_physics_whose_outputs_are_states_remember_no_more_than_before():
     assert reads_input(physics)
     alone = physics._replace(measure=lambda p, x, u: jnp.concatenate([x, x]))
     assert not reads_input(alone)
-    counts = [len(pg.add(one, "input_lag", time_constant=0.1).states) for one in (alone, physics)]
+    counts = [len(pg.add(one, "backlash", half_width=0.1).states) for one in (alone, physics)]
     assert counts == [2, 3]
+    assert len(pg.add(physics, "input_lag", time_constant=0.1).states) == 2, "the lagged input is remembered anyway"
