@@ -48,8 +48,12 @@ class Null(NamedTuple):
     known: Mapping[str, Known] = MappingProxyType({})
 
     def p_value(self, name: str, gain: float) -> float:
-        """Probability that any effect is as unlikely by luck."""
-        alone = scipy.stats.gamma.logsf(max(gain, 0.0), self.shape[name], scale=self.scale[name])
+        """Probability that any effect is as unlikely by luck. An effect without a law (a periodic one, whose line only
+        other effects uncover) is taken for the one that gains most by luck."""
+        if not self.shape:
+            return 1.0
+        like = name if name in self.shape else max(self.shape, key=lambda one: self.shape[one] * self.scale[one])
+        alone = scipy.stats.gamma.logsf(max(gain, 0.0), self.shape[like], scale=self.scale[like])
         known = self.known.get(name)
         if known is not None and gain <= _SAME * known.gain + LEAST_GAIN:
             return known.p_value

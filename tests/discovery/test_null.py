@@ -135,3 +135,11 @@ def test_a_known_p_value_is_that_of_its_fit_and_not_of_a_much_better_one():
     known = null._replace(known={"one": Known(10.0, 0.6)})
     assert known.p_value("one", 10.5) == 0.6
     assert known.p_value("one", 30.0) == usual
+
+
+def test_an_effect_without_a_law_is_the_luckiest_one():
+    draw = np.random.default_rng(6)
+    null = null_of({"often": draw.gamma(2.0, 1.5, 999), "seldom": draw.gamma(0.5, 0.2, 999)})
+    for gain in (0.5, 3.0, 30.0):
+        assert null.p_value("elsewhere", gain) == null.p_value("often", gain)
+    assert null_of({}).p_value("elsewhere", 100.0) == 1.0, "nothing to compare with"
