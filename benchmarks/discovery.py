@@ -103,6 +103,7 @@ def run_case(plan: Plan, problems: list[tuple[Problem, Corrected]], case: Case |
         "steps": found.seconds,
         "numbers": _numbers(found, names),
         "test": {name: one.error for name, one in found.test.models.items()},
+        "floor": found.proved.floor,
     }
 
 

@@ -23,19 +23,19 @@ from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.search import Named, finished, search, timed, with_elaborate_effects
 from pgrssnn_jax.discovery.select import Selection
-from pgrssnn_jax.discovery.settings import DiscoverySettings
+from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
 from pgrssnn_jax.discovery.unknown import Formula, formula
 from pgrssnn_jax.discovery.validate import Proved, Validations, train_validations, validations_on_test
 from pgrssnn_jax.discovery.verdict import (
+    Clear,
     Judgement,
     Verdict,
     as_good_as_names,
     confirmed,
     judge,
-    mostly_open,
     reading_convention,
     stand_ins_refuted,
     with_channels,
@@ -65,6 +65,7 @@ class Discovery(NamedTuple):
     selection: Selection
     nameless: Nameless
     judgement: Judgement
+    clear: Clear
     formula: Formula | None
     location: Location
     convention: str | None
@@ -130,14 +131,15 @@ def discover_in(
         notify("proving: intervals, and the test record")
         named, judged, numbers, proved, refuted = _tested(named, judged, setup, seconds)
     told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
-    rest = mostly_open(named.selection, proved.closed_fraction, chosen.criteria)
+    clear, test = _clear_of_noise(named, proved, chosen.criteria), proved.test
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,
         estimation=proved.estimation,
         selection=named.selection._replace(recalibrated=numbers.recalibrated, final=numbers.final),
         nameless=judged.nameless,
-        judgement=confirmed(told, proved.test.improvement, proved.test.relative, mostly_open=rest),
+        judgement=confirmed(told, test.improvement, test.relative, closed=proved.closed_fraction, clear=clear),
+        clear=clear,
         formula=judged.formula,
         location=location,
         convention=judged.convention,
@@ -198,6 +200,14 @@ def _with_better_correction(
     judgement = judged.judgement._replace(verdict=Verdict.UNKNOWN_EFFECT, unnamed=rival)
     told = _told(judged.corrections, named.how, selection, judgement)
     return judged._replace(judgement=judgement, formula=told), tuple(judgement.alternatives)
+
+
+def _clear_of_noise(named: Named, proved: Proved, criteria: Criteria) -> Clear:
+    """On the test record by the model that predicts it best. Runs of whole sequences, where fits see segments, have
+    errors of their own scale."""
+    selection, least = named.selection, min(one.error for one in proved.test.models.values())
+    there = not named.how.segmented and least > criteria.clear * proved.floor
+    return Clear(selection.last.rms() > criteria.clear * selection.floor, there)
 
 
 def _correction_helps(named: Named, judged: Judged, setup: Setup) -> bool:

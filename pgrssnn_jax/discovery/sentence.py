@@ -60,7 +60,7 @@ def _verdict(
     if verdict is Verdict.UNKNOWN_EFFECT:
         return f"Something is missing that no effect of the catalogue explains: {_nameless(found)}; {errors}{helped}."
     if verdict is Verdict.UNEXPLAINED:
-        return f"{_unexplained(found)}; {errors}{helped}."
+        return f"{_unexplained(found, gap)}; {errors}{helped}."
     closed, share = f"{errors}, {after:.3g}{unit} with it", 100 * min(gap["closed_fraction"], 1.0)
     if verdict is Verdict.NOT_CONFIRMED and not effects:
         one = f"a correction without a name ({', '.join(found.refuted)})"
@@ -87,11 +87,18 @@ def _title(effect: Mapping[str, Any]) -> str:
     return f"{title} ({', '.join(at)})" if 0 < len(at) < len(effect["channel_names"]) else title
 
 
-def _unexplained(found: Discovery) -> str:
+def _unexplained(found: Discovery, gap: Mapping[str, Any]) -> str:
     selection = found.selection
     ratio = selection.last.rms() / selection.floor if selection.floor > 0 else math.inf
     error = selection.final.estimate.error
     memory, of = longest_memory(error), "most of " if selection.final.estimate.active else ""
+    if not found.clear.estimation:
+        there = gap["after"]["test"] / gap["floor"] if gap["floor"] > 0 else math.inf
+        return (
+            f"Errors stand {there:.1f} times above the white noise on the test record, and {ratio:.1f} times on the "
+            "estimation record: something acts there that the estimation record hardly shows, or parameters matter "
+            "that it does not determine"
+        )
     return (
         f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for {of}them: noise with a memory "
         f"of {memory:.0f} samples, or an unmeasured disturbance"

@@ -37,6 +37,16 @@ class Verdict(StrEnum):
     NOT_CONFIRMED = "not_confirmed"
 
 
+class Clear(NamedTuple):
+    """Do errors stand clearly above the noise, on the estimation record and on the test record?"""
+
+    estimation: bool
+    test: bool
+
+
+NEAR_THE_NOISE = Clear(estimation=False, test=False)
+
+
 class Judgement(NamedTuple):
     """unnamed: the screening and candidate of the correction that no name covers; alternatives: per effect, candidates
     that predict as well in its place."""
@@ -102,23 +112,26 @@ def without_correction(judgement: Judgement) -> Judgement:
 
 
 def confirmed(
-    judgement: Judgement, improvement: tuple[float, float], relative_error: float, *, mostly_open: bool = False
+    judgement: Judgement,
+    improvement: tuple[float, float],
+    relative_error: float,
+    *,
+    closed: float = 1.0,
+    clear: Clear = NEAR_THE_NOISE,
 ) -> Judgement:
     """The same after the test record: an improvement whose interval contains none, or a model that predicts no better
     than the mean of the record (error relative to its standard deviation), is no finding; nor are effects that stand
-    for an unknown one and do harm. Effects help, but do not explain errors most of which stay."""
+    for an unknown one and do harm. Effects that close less than half of the gap (`closed`) help, but do not explain
+    errors clear of the noise. Where only the test record has such errors, something is missing all the same."""
+    if clear.test and judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED):
+        return judgement._replace(verdict=Verdict.UNEXPLAINED)
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     worse = _harmful(judgement, improvement)
     if worse or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
-    if found and mostly_open:
+    if found and any(clear) and closed < EXPLAINED:
         return judgement._replace(verdict=Verdict.UNEXPLAINED)
     return judgement
-
-
-def mostly_open(selection: Selection, closed: float, criteria: Criteria) -> bool:
-    """Are errors left that are clearly above the noise, and most of the gap on the test record? closed: part of it."""
-    return closed < EXPLAINED and selection.last.rms() > criteria.clear * selection.floor
 
 
 def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:

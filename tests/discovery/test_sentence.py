@@ -8,7 +8,7 @@ import pytest
 
 from pgrssnn_jax.discovery.discover import Discovery
 from pgrssnn_jax.discovery.sentence import sentence
-from pgrssnn_jax.discovery.verdict import Verdict
+from pgrssnn_jax.discovery.verdict import Clear, Verdict
 
 OFFSET = {
     "name": "input_offset",
@@ -19,6 +19,9 @@ OFFSET = {
 }
 
 
+BOTH = Clear(estimation=True, test=True)
+
+
 def said(
     closed: float,
     at: list[str],
@@ -27,6 +30,7 @@ def said(
     improvement: tuple[float, float] = (0.1, 0.2),
     relative: float = 0.5,
     convention: str | None = None,
+    clear: Clear = BOTH,
 ) -> str:
     error = np.random.default_rng(0).standard_normal((1, 200, 1))
     selection = SimpleNamespace(
@@ -40,6 +44,7 @@ def said(
         "selection": selection,
         "test": test,
         "convention": convention,
+        "clear": clear,
     }
     found = Discovery._make(told.get(name) for name in Discovery._fields)
     errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
@@ -57,6 +62,12 @@ def test_names_that_close_little_help_but_do_not_explain():
     told = said(0.2, ["heat1"], Verdict.UNEXPLAINED)
     assert told.startswith("Errors stand 3.0 times above the white noise and nothing accounts for most of them: ")
     assert "with input offset (heat1), which helps but does not explain it" in told
+
+
+def test_errors_of_the_test_record_alone_are_told():
+    told = said(0.0, [], Verdict.UNEXPLAINED, clear=Clear(estimation=False, test=True))
+    assert told.startswith("Errors stand 10.0 times above the white noise on the test record, and 3.0 times on the ")
+    assert "nothing accounts" not in told
 
 
 def test_another_channel_of_the_same_effect_is_an_alternative():
