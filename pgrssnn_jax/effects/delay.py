@@ -26,6 +26,7 @@ from pgrssnn_jax.effects.memory import memory_signals, of_inputs, remembered_inp
 from pgrssnn_jax.effects.places import points_of
 from pgrssnn_jax.physics.base import Parameter, Physics, Step, extension_of
 
+_ROUNDING = 1e-3  # samples by which a delay of whole samples may miss them
 LONGEST_DELAY = 6  # samples that input_delay remembers
 
 
@@ -51,20 +52,28 @@ def _late(physics: Physics) -> Physics:
     n, states = len(physics.inputs), len(physics.states)
     kept, change = LONGEST_DELAY * n, _change(physics)
 
+    def samples_of(p: Any) -> jax.Array:
+        return jnp.reshape(p["delay"], (1, n)) / physics.dt
+
+    def earlier(past: jax.Array, u: jax.Array, whole: jax.Array) -> jax.Array:
+        """The input so many samples ago."""
+        samples = jnp.concatenate([u, past]).reshape(LONGEST_DELAY + 1, n)
+        return jnp.where(jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None] == whole, samples, 0.0).sum(0)
+
     def parts(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
         """Older and newer input, s, and the mean over the sample."""
-        samples = jnp.concatenate([u, past]).reshape(LONGEST_DELAY + 1, n)
-        lags = jnp.arange(LONGEST_DELAY + 1, dtype=u.dtype)[:, None]
-        delay = jnp.reshape(p["delay"], (1, n)) / physics.dt
-        whole = jnp.floor(delay)
-        older, newer = (jnp.where(lags == at, samples, 0.0).sum(0) for at in (whole + 1.0, whole))
-        part = (delay - whole)[0]
+        whole = jnp.floor(samples_of(p))
+        older, newer = (earlier(past, u, at) for at in (whole + 1.0, whole))
+        part = (samples_of(p) - whole)[0]
         return older, newer, part, newer + part * (older - newer)
 
     def advance(p: Any, past: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
         return parts(p, past, u)[-1], jnp.concatenate([u, past])[:kept]
 
-    held = with_memory(physics, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance)
+    def at_end(p: Any, past: jax.Array, u: jax.Array) -> jax.Array:
+        return earlier(past, u, jnp.floor(samples_of(p) + _ROUNDING))
+
+    held = with_memory(physics, "input_delay", memory_signals(physics, "delayed_", LONGEST_DELAY), advance, at_end)
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         own, memory = x[:states], x[states:]

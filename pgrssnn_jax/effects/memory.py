@@ -2,8 +2,8 @@
 
     u'_t, m_t = advance(n, m_{t-1}, u_t)        x_t = step(p, x_{t-1}, u'_t)        y_t = measure(p, x_t, u'_t)
 
-An output that depends on the input directly, an acceleration say, is read after the step: then u'_t is remembered too,
-or the memory itself is what acts at the end of the sample.
+An output that depends on the input directly, an acceleration say, sees what acts at the end of the sample. Where it is
+read after the step, the memory from before is kept for that: an effect that acts earlier hands on its own value there.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,35 +15,37 @@ import jax.numpy as jnp
 from pgrssnn_jax.effects.base import Needs
 from pgrssnn_jax.physics.base import Physics, Signal
 
+Advance = Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+
 
 def with_memory(
     physics: Physics,
     name: str,
     memory: Sequence[Signal],
-    advance: Callable[[Any, jax.Array, jax.Array], tuple[jax.Array, jax.Array]],
-    *,
-    acts_at_end: bool = False,
+    advance: Advance,
+    at_end: Callable[[Any, jax.Array, jax.Array], jax.Array] | None = None,
 ) -> Physics:
     """`u', memory' = advance(n, memory, u)`: the physics sees u', and its state gains the memory at its end; n: numbers
-    of the effect; acts_at_end: the memory, one number per input, is what acts at the end of the sample, where u' is a
-    mean over it."""
+    of the effect; at_end: of the same arguments, what acts at the end of the sample, where u' is a mean over it."""
     n, direct = len(physics.states), reads_input(physics)
-    end, after = n + len(memory), physics.output_timing == "after_step"
-    late = direct and after and not acts_at_end
-    acting = [Signal(f"{s.name}_after_{name}", s.unit, memory_of=s.name) for s in physics.inputs if late]
+    end, late = n + len(memory), direct and physics.output_timing == "after_step"
+    before = [signal._replace(name=f"{signal.name}_before", fit_initial=False) for signal in memory if late]
 
     def step(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
         u, kept = advance(p.effects[name], x[n:end], u)
-        return jnp.concatenate([physics.step(p, x[:n], u), kept, *([u] if late else [])])
+        return jnp.concatenate([physics.step(p, x[:n], u), kept, *([x[n:end]] if late else [])])
 
     def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        if direct and after:
-            u = x[n:end] if acts_at_end else x[end : end + len(acting)]
+        if late:
+            u = acting(p.effects[name], x[end : end + len(before)], u)
         elif direct:
             u, _ = advance(p.effects[name], x[n:end], u)
         return physics.measure(p, x[:n], u)
 
-    return physics._replace(step=step, measure=measure, states=(*physics.states, *memory, *acting))
+    def acting(numbers: Any, past: jax.Array, u: jax.Array) -> jax.Array:
+        return at_end(numbers, past, u) if at_end else advance(numbers, past, u)[0]
+
+    return physics._replace(step=step, measure=measure, states=(*physics.states, *memory, *before))
 
 
 def reads_input(physics: Physics) -> bool:

@@ -187,7 +187,7 @@ def input_lag(physics: Physics) -> Effect:
         shapes={"time_constant": of_inputs(n)},
         channels="input" if n > 1 else "",
         initial_guesses=lambda span: [{"time_constant": np.full(of_inputs(n), k * dt)} for k in (1.0, 3.0, 8.0)],
-        wrap=lambda inner: with_memory(inner, "input_lag", memory, advance, acts_at_end=True),
+        wrap=lambda inner: with_memory(inner, "input_lag", memory, advance, lambda p, past, u: advance(p, past, u)[1]),
         needs=remembered_inputs(physics),
         simpler=("input_delay",),  # a lag below one sample is a delay
     )

@@ -97,6 +97,22 @@ def test_a_lagged_acceleration_agrees_with_small_steps():
     assert np.abs(found - expected).max() < 0.02 * np.std(expected)
 
 
+@pytest.mark.parametrize("delay", [0.04, 0.24, 0.3])
+@pytest.mark.parametrize("behind", ["input_lag", "backlash"])
+def test_a_late_acceleration_is_that_of_the_end_of_the_sample_beside_another_memory(delay, behind):
+    """dv/dt = 2 u(t - d) - v, exactly: u changes once within a sample at most. The other effect does nothing."""
+    u, dt, v, expected = np.random.default_rng(4).normal(size=SAMPLES), 0.1, 0.0, []
+    u[:4] = 0.0
+    whole = int(np.floor(delay / dt + 1e-9))
+    for k in range(SAMPLES):
+        old, new = (u[max(k - n, 0)] for n in (whole + 1, whole))
+        for force, span in ((old, delay - whole * dt), (new, dt - delay + whole * dt)):
+            v = 2.0 * force + (v - 2.0 * force) * np.exp(-span)
+        expected.append([v, 2.0 * new - v])
+    physics = pg.add(pg.add(slider("after_step"), behind), "input_delay", delay=delay)
+    np.testing.assert_allclose(free_run(physics, u[:, None]), expected, atol=2e-4)
+
+
 def test_effects_with_memory_follow_one_another():
     """What is added later acts earlier: late, then with play."""
     physics = slider("after_step")
@@ -112,6 +128,5 @@ def test_physics_whose_outputs_are_states_remember_no_more_than_before():
     assert reads_input(physics)
     alone = physics._replace(measure=lambda p, x, u: jnp.concatenate([x, x]))
     assert not reads_input(alone)
-    counts = [len(pg.add(one, "backlash", half_width=0.1).states) for one in (alone, physics)]
+    counts = [len(pg.add(one, "input_lag", time_constant=0.1).states) for one in (alone, physics)]
     assert counts == [2, 3]
-    assert len(pg.add(physics, "input_lag", time_constant=0.1).states) == 2, "the lagged input is remembered anyway"

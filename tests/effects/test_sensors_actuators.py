@@ -29,7 +29,7 @@ def changed(name, numbers, output_timing="after_step"):
 
 
 def outputs(name, numbers, output_timing="after_step", memory=()) -> np.ndarray:
-    """y `[time, 2]` of the free run with an effect; what acts on a direct output is remembered behind its memory."""
+    """y `[time, 2]` of the free run with an effect; behind its memory stands that before the sample."""
     physics = changed(name, numbers, output_timing)
     x = np.concatenate([X0, memory])
     x = np.concatenate([x, np.zeros(len(physics.states) - len(x))])
@@ -147,10 +147,10 @@ def means_of(samples, z, steps=5000):
 
 
 def test_memories_say_which_input_they_hold():
-    for name, count in (("input_delay", LONGEST_DELAY + 1), ("input_lag", 1)):  # a delay: with what acts on the outputs
+    for name, count in (("input_delay", LONGEST_DELAY), ("input_lag", 1)):
         memory = changed(name, {}).states[3:]
-        assert [s.memory_of for s in memory] == ["f", "g"] * count
-        assert len({s.name for s in memory}) == 2 * count
+        assert [s.memory_of for s in memory] == ["f", "g"] * (2 * count)  # and before the sample, for the outputs
+        assert len({s.name for s in memory}) == 4 * count
 
 
 def test_a_lag_has_a_finite_slope_where_there_is_none():
