@@ -67,9 +67,22 @@ def _on_whole_records(
         record, criteria = signals(problem), chosen.criteria
         selection = without_idle_limits(problem, record, selection, settings, criteria)
         done = {n: settled(problem, record, one, settings, criteria) for n, one in selection.screenings.items()}
-        return selection._replace(screenings=done)
+        return _at_its_best(problem, selection._replace(screenings=done))
 
     return Scoring(False, settings, signals, signals(problem), screen, finish, fitted)
+
+
+def _at_its_best(problem: Problem, selection: Selection) -> Selection:
+    """The final model where it fits best: each of its effects was fitted anew beside the others."""
+
+    def cost(model: Model) -> float:
+        return model.estimate.cost + problem.penalty(model.estimate.theta)
+
+    again = [
+        c.model for name, one in selection.screenings.items() for c in one.candidates if c.name == name and c.model
+    ]
+    best = min([selection.final, *again], key=cost)
+    return selection._replace(final=best, last=selection.last._replace(base=best))
 
 
 def _on_segments(
