@@ -212,6 +212,12 @@ def test_a_correction_in_the_place_of_names_may_be_as_good(problem, instead, p_v
     assert rival is None or rival[1].name == CORRECTION
 
 
+def test_where_other_names_predict_as_well_no_correction_takes_their_place(problem):
+    found = examined(problem, 400.0, 9.0, rivals={RIVAL: model(problem, 9.0, (RIVAL,))}, instead=9.0)
+    assert found.judgement.verdict is Verdict.AMBIGUOUS
+    assert as_good_as_names(*found, Criteria()) is None
+
+
 def test_nothing_is_as_good_as_no_name(problem):
     assert as_good_as_names(*examined(problem, 1.0), Criteria()) is None
 
