@@ -139,8 +139,7 @@ def select(problem: Problem, start: Guess, criteria: Criteria, screened: Screene
     model = _settled(judge, screened, Chosen(first.base, {})).model
     for other in _other_beginnings(judge, first, model):
         found = _settled(judge, screened, other).model
-        better, error = found.better_than(model)
-        model = found if better > error else model
+        model = found if _preferred_model(found, model, criteria.alike) else model
     model = _with_fewest_effects(judge, first, model)
     last, screenings = _judged(problem, screened, model)
     if screenings and min(_p_value(one, name) for name, one in screenings.items()) > criteria.p_value:
@@ -205,6 +204,14 @@ def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
         else:
             model, p_values = best.model, {**p_values, best.name: smaller.p_value(best)}
     return Chosen(model, p_values)
+
+
+def _preferred_model(one: Model, other: Model, alike: float) -> bool:
+    """One that predicts better, to within a standard error. More effects must make the record likelier, too: where two
+    of them say the same as a third, they fit a trifle better."""
+    (better, error), more = one.better_than(other), len(one.estimate.active) - len(other.estimate.active)
+    least = max(error, alike) if more else error
+    return better > least if more >= 0 else -better <= least
 
 
 def _other_beginnings(judge: Judge, first: Screening, model: Model) -> Sequence[Chosen]:

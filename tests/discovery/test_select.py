@@ -5,12 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from discovery.by_hand import LIKELY, NOISE, model, neutral, screening
+from discovery.by_hand import LIKELY, NOISE, SAMPLES, model, neutral, screening
 
 from pgrssnn_jax.discovery.candidates import Screening
 from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.problem import Problem, build_problem
-from pgrssnn_jax.discovery.select import Judge, _with_fewest_effects, _with_known, remembered, select
+from pgrssnn_jax.discovery.select import (
+    Judge,
+    _preferred_model,
+    _with_fewest_effects,
+    _with_known,
+    remembered,
+    select,
+)
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.systems import catalogue
 from pgrssnn_jax.physics.linear import lgssm
@@ -85,6 +92,23 @@ def test_one_effect_is_taken_in_the_place_of_two_that_predict_no_better(problem,
     first = screening(model(problem, 400.0), {A: model(problem, 1.4, (A,)), C: model(problem, energy, (C,))})
     judge = Judge(problem, Criteria(), gap=19.0, noise=1.0)
     assert _with_fewest_effects(judge, first, model(problem, 1.0, (A, B))).estimate.active == names
+
+
+@pytest.mark.parametrize(
+    ("names", "others", "gain", "expected"),
+    [
+        ((A, B), (A,), 0.5, False),
+        ((A, B), (A,), 2.0, True),
+        ((A,), (A, B), -0.5, True),
+        ((A,), (A, B), -2.0, False),
+        ((A,), (B,), 0.5, True),
+        ((A,), (B,), 0.01, False),
+    ],
+)
+def test_more_effects_must_make_the_record_likelier(problem, names, others, gain, expected):
+    """gain: nats. Two effects that say the same as a third fit a trifle better."""
+    one, other = model(problem, np.exp(-2.0 * gain / SAMPLES), names), model(problem, 1.0, others)
+    assert _preferred_model(one, other, alike=1.0) is expected
 
 
 def test_an_effect_that_brings_little_is_not_taken(problem):
