@@ -104,8 +104,6 @@ def set_up(
         notify(f"discovery looks at realisation {realisation} of {count}")
     one, aside, tested = (take(record, min(realisation, len(record.u) - 1)) for record in records)
     estimation = join(one, aside)
-    if system_of(physics) != "arm":  # whose positions are differentiated
-        estimation, tested = (_with_least_noise(record, seed) for seed, record in enumerate((estimation, tested)))
     if "sub_steps" in physics.settings and "sub_steps" not in settings.replace and not of_library(physics):
         physics = with_short_steps(physics, estimation, notify)
     stretches, fixed = _stretches(settings.stretches, physics, estimation), _fixed(settings.fixed, physics)
@@ -113,6 +111,8 @@ def set_up(
     settings = replace(settings, stretches=stretches, fixed=fixed, block=block)
     start = STARTS[tested.info.start]
     _check(physics, estimation, tested, settings, start)
+    if system_of(physics) != "arm":  # whose positions are differentiated
+        estimation, tested = (_with_least_noise(record, seed) for seed, record in enumerate((estimation, tested)))
     return Setup(
         nominal, physics, catalogue(physics, (), effects), one, aside, estimation, tested, start, settings, training
     )
