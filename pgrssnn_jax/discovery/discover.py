@@ -18,6 +18,7 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
 from pgrssnn_jax.discovery.noise import above_white_noise, longest_memory
 from pgrssnn_jax.discovery.nonparametric import Corrections
+from pgrssnn_jax.discovery.null import LEAST_GAIN
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring
@@ -175,11 +176,11 @@ def _tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float
     refuted = replaced or stand_ins_refuted(judged.judgement, proved.test.improvement)
     bare = _without_stand_ins(named, judged) if refuted else (named, judged)
     with timed(seconds, "prove"):
-        helps = bool(replaced) or _correction_helps(*bare, setup)
-    if refuted and helps:
-        return Tested(*bare, *_proved(bare[0], setup, seconds), refuted)
-    if refuted or helps:
-        return Tested(named, judged, numbers, proved, ())
+        helpful = bare[1] if replaced else _with_helpful_correction(*bare, setup)
+    if refuted and helpful:
+        return Tested(bare[0], helpful, *_proved(bare[0], setup, seconds), refuted)
+    if refuted or helpful:
+        return Tested(named, helpful or judged, numbers, proved, ())
     judged, refuted = _without_correction(named, judged, setup)
     return Tested(named, judged, numbers, proved, refuted)
 
@@ -210,14 +211,21 @@ def _clear_of_noise(named: Named, proved: Proved, criteria: Criteria) -> Clear:
     return Clear(selection.last.rms() > criteria.clear * selection.floor, there)
 
 
-def _correction_helps(named: Named, judged: Judged, setup: Setup) -> bool:
-    """Does a correction without a name, if there is one, predict the test record better?"""
-    unnamed = judged.judgement.unnamed
-    if unnamed is None or named.how.segmented:
-        return True
-    one, final = unnamed[1], named.selection.final.estimate.guess
-    low, _ = improvement_by_correction(judged.corrections, one, named.nominal, final, setup)
-    return low > 0.0
+def _with_helpful_correction(named: Named, judged: Judged, setup: Setup) -> Judged | None:
+    """The judgement, if its correction without a name predicts the test record better, or there is none. Of several
+    that say the same on the estimation record (a curve of the input, or in the only equation with that input) and go on
+    differently beyond it, the first that does."""
+    if judged.judgement.unnamed is None or named.how.segmented:
+        return judged
+    (screening, chosen), final = judged.judgement.unnamed, named.selection.final.estimate.guess
+    fitted = [one for one in screening.candidates if one.model and one is not chosen]
+    for one in (chosen, *(other for other in fitted if abs(other.score - chosen.score) <= LEAST_GAIN)):
+        low, _ = improvement_by_correction(judged.corrections, one, named.nominal, final, setup)
+        if low > 0.0:
+            judgement = judged.judgement._replace(unnamed=(screening, one))
+            told = _told(judged.corrections, named.how, named.selection, judgement)
+            return judged if one is chosen else judged._replace(judgement=judgement, formula=told)
+    return None
 
 
 def _without_correction(named: Named, judged: Judged, setup: Setup) -> tuple[Judged, tuple[str, ...]]:
