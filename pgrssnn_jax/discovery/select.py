@@ -207,8 +207,8 @@ def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
 
 
 def _preferred_model(one: Model, other: Model, alike: float) -> bool:
-    """One that predicts better, to within a standard error. More effects must make the record likelier, too: where two
-    of them say the same as a third, they fit a trifle better."""
+    """Does one predict better by more than a standard error, or as well with fewer effects? More effects must make the
+    record likelier, too: where two of them say the same as a third, they fit a trifle better."""
     (better, error), more = one.better_than(other), len(one.estimate.active) - len(other.estimate.active)
     least = max(error, alike) if more else error
     return better > least if more >= 0 else -better <= least
