@@ -24,7 +24,7 @@ from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.search import Named, finished, search, timed, with_elaborate_effects
 from pgrssnn_jax.discovery.select import Selection
-from pgrssnn_jax.discovery.settings import Criteria, DiscoverySettings
+from pgrssnn_jax.discovery.settings import DiscoverySettings
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
@@ -35,6 +35,7 @@ from pgrssnn_jax.discovery.verdict import (
     Judgement,
     Verdict,
     as_good_as_names,
+    clear_of_noise,
     confirmed,
     judge,
     reading_convention,
@@ -132,7 +133,8 @@ def discover_in(
         notify("proving: intervals, and the test record")
         named, judged, numbers, proved, refuted = _tested(named, judged, setup, seconds)
     told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
-    clear, test = _clear_of_noise(named, proved, chosen.criteria), proved.test
+    test, least = proved.test, min(one.error for one in proved.test.models.values())
+    clear = clear_of_noise(named.selection, least, proved.floor, chosen.criteria)
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,
@@ -201,14 +203,6 @@ def _with_better_correction(
     judgement = judged.judgement._replace(verdict=Verdict.UNKNOWN_EFFECT, unnamed=rival)
     told = _told(judged.corrections, named.how, selection, judgement)
     return judged._replace(judgement=judgement, formula=told), tuple(judgement.alternatives)
-
-
-def _clear_of_noise(named: Named, proved: Proved, criteria: Criteria) -> Clear:
-    """On the test record by the model that predicts it best. Runs of whole sequences, where fits see segments, have
-    errors of their own scale."""
-    selection, least = named.selection, min(one.error for one in proved.test.models.values())
-    there = not named.how.segmented and least > criteria.clear * proved.floor
-    return Clear(selection.last.rms() > criteria.clear * selection.floor, there)
 
 
 def _with_helpful_correction(named: Named, judged: Judged, setup: Setup) -> Judged | None:

@@ -48,8 +48,9 @@ class Null(NamedTuple):
     known: Mapping[str, Known] = MappingProxyType({})
 
     def p_value(self, name: str, gain: float) -> float:
-        """Probability that any effect is as unlikely by luck. An effect without a law (a periodic one, whose line only
-        other effects uncover) is taken for the one that gains most by luck."""
+        """Probability that by luck alone any effect of the catalogue gains as unlikely an amount. An effect that had no
+        starting values in this screening has no distribution of its own (a periodic effect without a spectral line),
+        and gets that of the effect with the largest mean gain."""
         if not self.shape:
             return 1.0
         like = name if name in self.shape else max(self.shape, key=lambda one: self.shape[one] * self.scale[one])

@@ -111,6 +111,14 @@ def without_correction(judgement: Judgement) -> Judgement:
     return judgement._replace(verdict=Verdict.NOT_CONFIRMED) if nothing else judgement
 
 
+def clear_of_noise(selection: Selection, error: float, noise: float, criteria: Criteria) -> Clear:
+    """error: of the model that predicts the test record best; noise: in the same metric. Where fits see segments, runs
+    of whole sequences have errors of their own scale, and the test record does not count."""
+    segmented = selection.final.free_run is not None
+    there = not segmented and error > criteria.clear * noise
+    return Clear(selection.last.rms() > criteria.clear * selection.floor, there)
+
+
 def confirmed(
     judgement: Judgement,
     improvement: tuple[float, float],

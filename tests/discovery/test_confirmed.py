@@ -1,10 +1,22 @@
 """What the test record confirms and refutes: verdicts made by hand."""
 
 import pytest
+from discovery.by_hand import model, screening
 
-from pgrssnn_jax.discovery.verdict import Clear, Judgement, Verdict, confirmed, without_correction
+from pgrssnn_jax.discovery.problem import Problem, build_problem
+from pgrssnn_jax.discovery.select import Selection
+from pgrssnn_jax.discovery.settings import Criteria
+from pgrssnn_jax.discovery.verdict import Clear, Judgement, Verdict, clear_of_noise, confirmed, without_correction
+from pgrssnn_jax.effects.systems import catalogue
+from pgrssnn_jax.physics.tanks import cascaded_tanks
 
 NAME = "bypass"
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    physics = cascaded_tanks()
+    return build_problem(physics, [e for e in catalogue(physics) if e.name == NAME], accelerate=False)
 
 
 @pytest.mark.parametrize(
@@ -56,3 +68,15 @@ def test_names_that_stand_for_an_unknown_effect_must_do_no_harm(improvement, ref
     assert confirmed(given, improvement, 2.0).verdict is expected
     nobody = given._replace(alternatives={})
     assert confirmed(nobody, improvement, 2.0) is nobody, "the recalibrated physics may do harm"
+
+
+@pytest.mark.parametrize(("energy", "estimation"), [(4.1, True), (3.9, False)])
+@pytest.mark.parametrize(
+    ("error", "segmented", "test"), [(0.21, False, True), (0.19, False, False), (9.0, True, False)]
+)
+def test_errors_are_clear_of_the_noise_above_twice_its_size(problem, energy, estimation, error, segmented, test):
+    final = model(problem, energy, (NAME,))
+    final = final._replace(free_run=(final.estimate.error**2).mean((1, 2)) if segmented else None)
+    last = screening(final, {})
+    selection = Selection(model(problem, 9.0), final, {}, screening(model(problem, 9.0), {}), last, 1.0)
+    assert clear_of_noise(selection, error, 0.1, Criteria()) == Clear(estimation, test)

@@ -130,7 +130,7 @@ def test_a_lag_is_the_mean_of_the_first_order_system_over_each_sample(samples):
     end of a sample."""
     means, ends = map(np.asarray, means_of(samples, np.array([0.5, -1.0])))
     found = outputs("input_lag", {"time_constant": [samples * DT] * 2}, memory=np.array([0.5, -1.0]))
-    np.testing.assert_allclose(found, plain(means, seen=ends), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found, plain(means, seen=ends), rtol=1e-7, atol=1e-9)
 
 
 @quick_jit
