@@ -122,7 +122,7 @@ def score_candidates(
     named = [(guess.active[-1], added(run, one)) for guess, one in zip(guesses, begun, strict=True)]
     gain = partial(_gain, problem, signals, base)
     if not here.active:  # beside effects less is bent, and the leading ones begin there in the end
-        guesses += _beside(problem, span, nominal(problem, signals, here), without)
+        guesses += _beside(problem, span, with_nominal_numbers(problem, signals, here), without)
     done = {c.name for c in known}
     guesses = [guess for guess in guesses if guess.active[-1] not in done]
     rough = fit_all(problem, signals, guesses, settings.roughly)
@@ -164,12 +164,12 @@ def _to_the_end(
     problem: Problem, signals: Signals, guesses: Sequence[Guess], settings: Settings
 ) -> list[tuple[Guess, float]]:
     """Each at its optimum, looked for from the nominal physics and start too."""
-    ways = [way for guess in guesses for way in (guess, nominal(problem, signals, guess))]
+    ways = [way for guess in guesses for way in (guess, with_nominal_numbers(problem, signals, guess))]
     fits = fit_all(problem, signals, ways, settings)
     return [min(pair, key=lambda found: found[1]) for pair in zip(fits[::2], fits[1::2], strict=True)]
 
 
-def nominal(problem: Problem, signals: Signals, guess: Guess) -> Guess:
+def with_nominal_numbers(problem: Problem, signals: Signals, guess: Guess) -> Guess:
     """The same effects beside the nominal physics and start."""
     own = problem.of(None)
     return guess._replace(theta=moved(guess.theta, own, problem.theta[own]), x0=signals.start)
@@ -203,7 +203,7 @@ def _gain(problem: Problem, signals: Signals, base: Model, low: float) -> float:
 
 
 def _fitted_base(problem: Problem, signals: Signals, base: Guess, settings: Settings, criteria: Criteria) -> Model:
-    begun = [base, base._replace(x0=signals.start), nominal(problem, signals, base)]
+    begun = [base, base._replace(x0=signals.start), with_nominal_numbers(problem, signals, base)]
     best = min(fit_all(problem, signals, begun, settings), key=lambda found: found[1])[0]
     (model,) = fitted_models(problem, signals, [best], settings, criteria.block)
     return model

@@ -9,7 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pgrssnn_jax.discovery.candidates import Candidate, Model, Screening, fitted_models, nominal, ranked, white_noise
+from pgrssnn_jax.discovery.candidates import (
+    Candidate,
+    Model,
+    Screening,
+    fitted_models,
+    ranked,
+    white_noise,
+    with_nominal_numbers,
+)
 from pgrssnn_jax.discovery.corrected import Corrected, numbers_of
 from pgrssnn_jax.discovery.estimate import Guess, Settings, fit_all
 from pgrssnn_jax.discovery.flexible import families
@@ -113,7 +121,7 @@ def _fitted(corrections: Corrections, base: Model, name: str, response: Response
     effect, numbers = numbers_of(problem.physics, name, response.low, response.high)
     start = Guess((*base.estimate.active, effect), problem.put(theta, effect, numbers), x0)
     few = settings._replace(lanes=settings.devices)
-    fits = fit_all(problem, signals, [start, nominal(problem, signals, start)], few)
+    fits = fit_all(problem, signals, [start, with_nominal_numbers(problem, signals, start)], few)
     guess, cost = min(fits, key=lambda found: found[1])
     (model,) = fitted_models(problem, signals, [guess], few, block)
     before = base.estimate.cost + corrections.problem.penalty(base.estimate.theta)

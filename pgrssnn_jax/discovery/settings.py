@@ -37,7 +37,8 @@ class Criteria(NamedTuple):
     # sequences come nearer by effects and corrections, where fits see segments
     nameless: float = 0.25  # part of the gap that such a correction closes beside named effects to be missed
     tied: float = 1.28  # standard errors by which a tenth of equals predict worse: within them effects are ambiguous
-    alike: float = 1.0  # log-likelihood by which two effects are no less likely: a ratio of e is no evidence (Jeffreys)
+    alike: float = 1.0  # log-likelihood by which two effects are no less likely, and by which more effects must be
+    # likelier than fewer: a ratio of e is no evidence (Jeffreys)
     most: int = 4  # effects
     finalists: int = 12  # effects of a screening that are compared after more steps
     hopeless: float = 0.2  # p-value after a few steps of a fit: if all are above and errors not clear, none is

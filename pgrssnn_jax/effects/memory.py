@@ -36,14 +36,12 @@ def with_memory(
         return jnp.concatenate([physics.step(p, x[:n], u), kept, *([x[n:end]] if late else [])])
 
     def measure(p: Any, x: jax.Array, u: jax.Array) -> jax.Array:
-        if late:
-            u = acting(p.effects[name], x[end : end + len(before)], u)
+        numbers, past = p.effects[name], x[end : end + len(before)] if late else x[n:end]
+        if late and at_end:
+            u = at_end(numbers, past, u)
         elif direct:
-            u, _ = advance(p.effects[name], x[n:end], u)
+            u, _ = advance(numbers, past, u)
         return physics.measure(p, x[:n], u)
-
-    def acting(numbers: Any, past: jax.Array, u: jax.Array) -> jax.Array:
-        return at_end(numbers, past, u) if at_end else advance(numbers, past, u)[0]
 
     return physics._replace(step=step, measure=measure, states=(*physics.states, *memory, *before))
 
