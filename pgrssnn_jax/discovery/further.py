@@ -19,12 +19,18 @@ from pgrssnn_jax.effects.base import Effect
 
 
 def further_effects(
-    problem: Problem, signals: Signals, selection: Selection, effects: Sequence[Effect], criteria: Criteria
+    problem: Problem,
+    signals: Signals,
+    selection: Selection,
+    effects: Sequence[Effect],
+    criteria: Criteria,
+    *,
+    missing: bool = False,
 ) -> list[Effect]:
     """Elaborate effects whose fits have somewhere to begin, where there are errors for them to explain: more than the
-    noise, or a line, which is seen well before it adds a tenth to the errors."""
+    noise, or a line, which is seen well before it adds a tenth to the errors; missing: it is known that there are."""
     span = signal_range_of(problem, signals, selection.last.base.estimate.guess)
-    if not span.lines and selection.last.rms(selection.final) <= criteria.above * selection.floor:
+    if not missing and not span.lines and selection.last.rms(selection.final) <= criteria.above * selection.floor:
         return []
     return [effect for effect in effects if effect.elaborate and effect.guesses(span)]
 

@@ -52,13 +52,21 @@ def search(problem: Problem, setup: Setup, notify: Notify, seconds: dict[str, fl
 
 
 def with_elaborate_effects(
-    first: Named, setup: Setup, corrected: Corrected, notify: Notify, seconds: dict[str, float]
+    first: Named,
+    setup: Setup,
+    corrected: Corrected,
+    notify: Notify,
+    seconds: dict[str, float],
+    *,
+    missing: bool = False,
 ) -> Named:
-    """A second search, with the elaborate effects, where the first one leaves errors above the noise. It is repeated
-    where its errors show a spectral line for the first time: of a disturbance behind a backlash, say."""
-    named, tried = first, set[str]()
-    while further := [effect for effect in _further(named, setup) if effect.name not in tried]:
-        notify(f"errors stay above the noise: looking for {', '.join(effect.name for effect in further)} too")
+    """A second search, with the elaborate effects, where the first one leaves errors above the noise, or a correction
+    without a name shows that something is missing. It is repeated where its errors show a spectral line for the first
+    time: of a disturbance behind a backlash, say."""
+    named, tried = first, {effect.name for effect in first.problem.effects if effect.elaborate}
+    while further := [effect for effect in _further(named, setup, missing) if effect.name not in tried]:
+        why = "no effect explains the errors" if missing else "errors stay above the noise"
+        notify(f"{why}: looking for {', '.join(effect.name for effect in further)} too")
         tried |= {effect.name for effect in further}
         wanted = [effect for effect in setup.effects if not effect.elaborate or effect.name in tried]
         whole = named.known(corrected.with_catalogue(named.problem, tuple(wanted)))
@@ -67,9 +75,9 @@ def with_elaborate_effects(
     return named
 
 
-def _further(named: Named, setup: Setup) -> list[Effect]:
-    problem, how = named.problem, named.how
-    return further_effects(problem, how.signals(problem), named.selection, setup.effects, setup.settings.criteria)
+def _further(named: Named, setup: Setup, missing: bool) -> list[Effect]:
+    problem, selection, criteria = named.problem, named.selection, setup.settings.criteria
+    return further_effects(problem, named.how.signals(problem), selection, setup.effects, criteria, missing=missing)
 
 
 def _going_on(first: Named, whole: Problem, setup: Setup, notify: Notify, seconds: dict[str, float]) -> Named:

@@ -134,25 +134,18 @@ def confirmed(
     if clear.test and judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED):
         return judgement._replace(verdict=Verdict.UNEXPLAINED)
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
-    worse = _harmful(judgement, improvement)
-    if worse or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
+    harmful = harmful_names(judgement, improvement)
+    if harmful or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
     if found and any(clear) and closed < EXPLAINED:
         return judgement._replace(verdict=Verdict.UNEXPLAINED)
     return judgement
 
 
-def stand_ins_refuted(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
-    """Effects that stand for an unknown one and do harm on the test record, where a correction in their place was found
-    without them."""
-    alone = judgement.unnamed is not None and not judgement.unnamed[0].base.estimate.active
-    return tuple(judgement.alternatives) if alone and _harmful(judgement, improvement) else ()
-
-
-def _harmful(judgement: Judgement, improvement: tuple[float, float]) -> bool:
-    """Do named effects that stand for an unknown one make the test record worse?"""
-    named = bool(judgement.alternatives)
-    return named and judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0
+def harmful_names(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
+    """Named effects that stand for an unknown one, where they make the test record worse."""
+    unknown = judgement.verdict is Verdict.UNKNOWN_EFFECT
+    return tuple(judgement.alternatives) if unknown and improvement[1] < 0.0 else ()
 
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:

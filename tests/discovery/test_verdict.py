@@ -18,8 +18,8 @@ from pgrssnn_jax.discovery.verdict import (
     Judgement,
     Verdict,
     as_good_as_names,
+    harmful_names,
     judge,
-    stand_ins_refuted,
     with_channels,
 )
 from pgrssnn_jax.effects.systems import catalogue
@@ -222,16 +222,18 @@ def test_nothing_is_as_good_as_no_name(problem):
     assert as_good_as_names(*examined(problem, 1.0), Criteria()) is None
 
 
-@pytest.mark.parametrize(
-    ("instead", "improvement", "expected"),
-    [(4.0, (-0.3, -0.1), (NAME,)), (4.0, (-0.3, 0.1), ()), (None, (-0.3, -0.1), ())],
-)
-def test_stand_ins_that_do_harm_leave_where_a_correction_in_their_place_is_known(
-    problem, instead, improvement, expected
-):
+@pytest.mark.parametrize("instead", [4.0, None])
+@pytest.mark.parametrize(("improvement", "expected"), [((-0.3, -0.1), (NAME,)), ((-0.3, 0.1), ())])
+def test_names_that_stand_for_an_unknown_effect_may_do_harm(problem, instead, improvement, expected):
     found = judged(problem, 400.0, 9.0, instead=instead, beside=None if instead else 4.0)
     assert found.verdict is Verdict.UNKNOWN_EFFECT
-    assert stand_ins_refuted(found, improvement) == expected
+    assert harmful_names(found, improvement) == expected
+
+
+def test_names_that_stand_for_themselves_are_not_harmful(problem):
+    found = judged(problem, 400.0, 9.0)
+    assert found.verdict is Verdict.EFFECT_FOUND
+    assert harmful_names(found, (-0.3, -0.1)) == ()
 
 
 def test_a_spectral_line_is_unknown(problem):
