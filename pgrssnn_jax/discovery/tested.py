@@ -30,15 +30,17 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
     a finding of theirs alone is not confirmed."""
     numbers, proved = _proved(named, setup, seconds)
     with timed(seconds, "prove"):
-        judged, replaced = _with_better_correction(named, judged, setup, proved)
-        refuted = replaced or _harmful(judged, proved)
-        bare, alone = without_names(named, judged, setup.settings) if refuted else (named, judged)
-        alone, correction = (alone, ()) if replaced else _without_refuted_correction(bare, alone, setup)
-    if not refuted:
-        return Tested(named, alone, numbers, proved, correction)
+        names, correction = _harmful(judged, proved), ()
+        if not names:
+            judged, correction = _without_refuted_correction(named, judged, setup)
+            judged, names = _with_better_correction(named, judged, setup, proved)
+        if not names:
+            return Tested(named, judged, numbers, proved, correction)
+        bare, alone = without_names(named, judged, setup.settings)
+        alone, further = _without_refuted_correction(bare, alone, setup)
     if alone.judgement.verdict not in _FOUND:
         return Tested(named, judged, numbers, proved, ())
-    return Tested(bare, alone, *_proved(bare, setup, seconds), (*refuted, *correction))
+    return Tested(bare, alone, *_proved(bare, setup, seconds), (*names, *correction, *further))
 
 
 def _harmful(judged: Judged, proved: Proved) -> tuple[str, ...]:

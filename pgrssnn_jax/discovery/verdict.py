@@ -130,8 +130,9 @@ def confirmed(
     """The same after the test record: an improvement whose interval contains none, or a model that predicts no better
     than the mean of the record (error relative to its standard deviation), is no finding; nor are effects that stand
     for an unknown one and do harm. Effects that close less than half of the gap (`closed`) help, but do not explain
-    errors clear of the noise. Where only the test record has such errors, something is missing all the same."""
-    if clear.test and judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED):
+    errors clear of the noise. Where nothing is named and only the test record has such errors, something is missing all
+    the same."""
+    if clear.test and judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED, Verdict.NOT_CONFIRMED):
         return judgement._replace(verdict=Verdict.UNEXPLAINED)
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
     harmful = harmful_names(judgement, improvement)
