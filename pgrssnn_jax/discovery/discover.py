@@ -14,10 +14,11 @@ from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.identify import Combination, Departure
 from pgrssnn_jax.discovery.judged import Judged, judged_on_estimation
 from pgrssnn_jax.discovery.nameless import Nameless
+from pgrssnn_jax.discovery.order import order_may_matter, reversed_on_inputs
 from pgrssnn_jax.discovery.problem import Problem, Signals, build_problem
 from pgrssnn_jax.discovery.responses import path_of
 from pgrssnn_jax.discovery.search import Named, Notify, finished, search, timed, with_elaborate_effects
-from pgrssnn_jax.discovery.select import Selection
+from pgrssnn_jax.discovery.select import Selection, preferred_model
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.smoother import Correction, smoothed_correction
 from pgrssnn_jax.discovery.stretches import end_to_end
@@ -80,14 +81,14 @@ def discover_in(problem: Problem, setup: Setup, notify: Notify, corrected: Corre
     physics and catalogue."""
     chosen, seconds, corrected = setup.settings, dict[str, float](), corrected or Corrected()
     with jax.enable_x64(True):
-        first = search(problem, setup, notify, seconds)
-        named = finished(with_elaborate_effects(first, setup, corrected, notify, seconds), seconds)
-        judged = _judged(named, corrected, setup, notify, seconds)
-        if judged.judgement.unnamed is not None:
-            further = with_elaborate_effects(named, setup, corrected, notify, seconds, missing=True)
-            if further is not named:
-                named = finished(further, seconds)
-                judged = _judged(named, corrected, setup, notify, seconds)
+        named, judged = _searched(problem, setup, corrected, notify, seconds)
+        if order_may_matter(named, judged, chosen.criteria):
+            notify("looking for effects that act on the inputs in the opposite order")
+            turned = setup._replace(effects=reversed_on_inputs(setup.effects))
+            whole = corrected.with_catalogue(problem, turned.first_effects)
+            other = _searched(whole, turned, corrected, notify, seconds)
+            if preferred_model(other[0].selection.final, named.selection.final, chosen.criteria.alike):
+                named, judged = other
         notify("locating: the correction that each equation would need")
         with timed(seconds, "locate"):
             location = _located(named)
@@ -115,6 +116,22 @@ def discover_in(problem: Problem, setup: Setup, notify: Notify, corrected: Corre
         test=proved.test,
         seconds=seconds,
     )
+
+
+def _searched(
+    problem: Problem, setup: Setup, corrected: Corrected, notify: Notify, seconds: dict[str, float]
+) -> tuple[Named, Judged]:
+    """Effects, and the verdict on them: with the elaborate ones too where errors or the verdict ask for them."""
+    first = search(problem, setup, notify, seconds)
+    named = finished(with_elaborate_effects(first, setup, corrected, notify, seconds), seconds)
+    judged = _judged(named, corrected, setup, notify, seconds)
+    if judged.judgement.unnamed is None:
+        return named, judged
+    further = with_elaborate_effects(named, setup, corrected, notify, seconds, missing=True)
+    if further is named:
+        return named, judged
+    named = finished(further, seconds)
+    return named, _judged(named, corrected, setup, notify, seconds)
 
 
 def _judged(named: Named, corrected: Corrected, setup: Setup, notify: Notify, seconds: dict[str, float]) -> Judged:

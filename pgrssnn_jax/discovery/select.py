@@ -139,7 +139,7 @@ def select(problem: Problem, start: Guess, criteria: Criteria, screened: Screene
     model = _settled(judge, screened, Chosen(first.base, {})).model
     for other in _other_beginnings(judge, first, model):
         found = _settled(judge, screened, other).model
-        model = found if _preferred_model(found, model, criteria.alike) else model
+        model = found if preferred_model(found, model, criteria.alike) else model
     model = _with_fewest_effects(judge, first, model)
     last, screenings = _judged(problem, screened, model)
     if screenings and min(_p_value(one, name) for name, one in screenings.items()) > criteria.p_value:
@@ -206,7 +206,7 @@ def _pruned(judge: Judge, screened: Screened, chosen: Chosen) -> Chosen:
     return Chosen(model, p_values)
 
 
-def _preferred_model(one: Model, other: Model, alike: float) -> bool:
+def preferred_model(one: Model, other: Model, alike: float) -> bool:
     """Does one predict better by more than a standard error, or as well with fewer effects? More effects must make the
     record likelier, too: where two of them say the same as a third, they fit a trifle better."""
     (better, error), more = one.better_than(other), len(one.estimate.active) - len(other.estimate.active)

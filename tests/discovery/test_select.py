@@ -12,9 +12,9 @@ from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.problem import Problem, build_problem
 from pgrssnn_jax.discovery.select import (
     Judge,
-    _preferred_model,
     _with_fewest_effects,
     _with_known,
+    preferred_model,
     remembered,
     select,
 )
@@ -108,7 +108,7 @@ def test_one_effect_is_taken_in_the_place_of_two_that_predict_no_better(problem,
 def test_more_effects_must_make_the_record_likelier(problem, names, others, gain, expected):
     """gain: nats. Two effects that say the same as a third fit a trifle better."""
     one, other = model(problem, np.exp(-2.0 * gain / SAMPLES), names), model(problem, 1.0, others)
-    assert _preferred_model(one, other, alike=1.0) is expected
+    assert preferred_model(one, other, alike=1.0) is expected
 
 
 def test_an_effect_that_brings_little_is_not_taken(problem):
