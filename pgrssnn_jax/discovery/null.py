@@ -100,7 +100,9 @@ def null_distribution(
     at_once = max(1, _AT_ONCE // n)
     for i in range(0, draws, at_once):
         drawn = recoloured(min(at_once, draws - i), rng)
-        drawn = (drawn.reshape(len(drawn), n) * measured).astype(np.float32)
+        drawn = drawn.reshape(len(drawn), n) * measured
+        size = np.abs(drawn).max(1, keepdims=True)  # of a free run that diverges beyond the range of float32
+        drawn = (drawn / np.where(size > 0.0, size, 1.0)).astype(np.float32)
         drawn = drawn - (drawn @ nuisance) @ nuisance.T
         energy = np.maximum((drawn**2).sum(1), 1e-30)
         best = {name: np.zeros(len(drawn)) for name in found}

@@ -143,3 +143,16 @@ def test_an_effect_without_a_law_is_the_luckiest_one():
     for gain in (0.5, 3.0, 30.0):
         assert null.p_value("elsewhere", gain) == null.p_value("often", gain)
     assert null_of({}).p_value("elsewhere", 100.0) == 1.0, "nothing to compare with"
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e30])
+def test_the_size_of_the_errors_does_not_matter(scale):
+    """Also that of a free run that diverges, and of a record in a tiny unit."""
+    rng = np.random.default_rng(4)
+    error, columns, added = rng.standard_normal(SAMPLES), slow(rng, 2), slow(rng, 2)
+    laws = []
+    for factor in (1.0, scale):
+        at = linearised(factor * error, columns)
+        null = null_distribution(at, noise_of(at).recoloured, [("one", added)], 199, 99, np.random.default_rng(5))
+        laws.append(null.law)
+    np.testing.assert_allclose(laws[1], laws[0], rtol=1e-4)
