@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = [
     "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
-    "discover", "effects", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "physics", "read_csv",
-    "read_physics", "record", "rollout", "simulate",
+    "discover", "discrete", "effects", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "physics",
+    "read_csv", "read_physics", "record", "rollout", "simulate",
 ]  # fmt: skip
 
 # jaxlib 0.10.2 computes products with a constant matrix of equal numbers wrongly on CPUs when it fuses them with what
 # stands before (jax issue 39103). Other versions may not know the flag, and XLA stops at flags that it does not know.
 _FUSION = "--xla_cpu_experimental_ynn_fusion_type"
-_OF_PHYSICS = ("Parameter", "Physics", "Signal", "continuous")  # no need to load the rest of the API for them
+# The rest of the API need not be loaded for these.
+_OF_PHYSICS = ("Parameter", "Physics", "Signal", "continuous", "discrete")
 
 
 def _avoid_wrong_products() -> None:

@@ -37,7 +37,7 @@ from pgrssnn_jax.effects.stored import OF_TRAINING, read_stored, settings_to_jso
 from pgrssnn_jax.effects.systems import add_effect as add
 from pgrssnn_jax.models.rollout import Trajectory, first_not_finite, rollout
 from pgrssnn_jax.models.spec import ModelSpec, changes_of
-from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous
+from pgrssnn_jax.physics.base import Parameter, Physics, Signal, continuous, discrete
 from pgrssnn_jax.physics.check import check_given, checked_inputs, checked_start
 from pgrssnn_jax.physics.simulate import free_run
 from pgrssnn_jax.records.arguments import call_with, check_kind, shown
@@ -58,8 +58,8 @@ from pgrssnn_jax.training.train import first_checkpoint, train_members
 
 __all__ = [
     "Discovered", "Effect", "Ensemble", "ModelSpec", "Parameter", "Physics", "Record", "Signal", "add", "continuous",
-    "discover", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "read_physics", "record",
-    "rollout", "simulate",
+    "discover", "discrete", "filter_form", "fit", "load", "load_arm_log", "load_benchmark", "read_csv", "read_physics",
+    "record", "rollout", "simulate",
 ]  # fmt: skip
 
 Callback = Callable[[Progress], bool | None]

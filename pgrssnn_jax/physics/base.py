@@ -194,7 +194,11 @@ def discrete(
     differentiable: bool = True,
     reads: str | None = None,
 ) -> Physics:
-    """A `Physics` from x_t = step(params, x_{t-1}, u_t). reads: the old spelling of `output_timing`.
+    """A `Physics` from a difference equation, x_t = step(params, x_{t-1}, u_t) and y_t = measure(params, x_t, u_t).
+
+    dt: s; parameters: what the numbers of params mean, in the same tree; output_timing: `before_step` reads x_{t-1};
+    skeleton: lines of a drawing of a state; remark: told when a discovery begins; differentiable: False for a step
+    without derivatives; reads: the old spelling of `output_timing`.
 
     Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
     output (or is the rate of an output or state) that does not exist, for names that are there twice, for what is no
