@@ -83,7 +83,7 @@ def described(effect: Effect) -> dict[str, Any]:
 def at_bound(value: Any, bounds: tuple[float, float], neutral: float | None) -> np.ndarray:
     """Is a number where its fit was not let go further? Where it changes nothing it may well be."""
     ends = [end for end in bounds if np.isfinite(end) and end != neutral]
-    near = [np.isclose(value, end, rtol=1e-9, atol=1e-12) for end in ends]
+    near = [np.isclose(value, end, rtol=1e-9, atol=0.0) for end in ends]
     return np.asarray(np.any([np.zeros_like(value, bool), *near], axis=0))
 
 

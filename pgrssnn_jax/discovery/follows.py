@@ -63,7 +63,7 @@ def follows(
 
 def _features(s: Float[np.ndarray, "seq time s"]) -> Float[np.ndarray, "seq time feature"]:
     low, high = s.min((0, 1)), s.max((0, 1))
-    hats = nearness(s, low, np.maximum(high, low + 1e-12)).reshape(*s.shape[:2], -1)
+    hats = nearness(s, low, np.where(high > low, high, low + 1.0)).reshape(*s.shape[:2], -1)
     hats = hats - hats.mean((0, 1))  # filters begin at rest
     filtered = [scipy.signal.lfilter([1.0 / (1 + k)], [1.0, -k / (1 + k)], hats, axis=1) for k in _SAMPLES]
     found = np.concatenate(filtered, -1)

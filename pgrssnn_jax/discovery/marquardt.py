@@ -23,7 +23,7 @@ from pgrssnn_jax.records.record import Array
 
 _DAMPINGS = (0.01, 0.2, 3.0, 100.0)  # times the present one, tried together
 _OF_MANY = (0.1, 5.0)  # the same for many sequences: stretches are nearly linear, and every trial is run twice
-_TINY = 1e-30  # where neither the data nor a prior say anything of a number, it stays
+_TINY = 1e-250  # where neither the data nor a prior say anything of a number, it stays; small in any unit
 _GIVE_UP = 1e6  # damping at which no step is left
 
 

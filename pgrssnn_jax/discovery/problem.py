@@ -24,7 +24,7 @@ from pgrssnn_jax.records.record import Record
 
 _MATRIX_REACH = 0.5  # of a matrix's largest entry
 _BEGINNING = 8  # one part in so many of a short sequence is in every fit
-HELD = 1e30  # precision of a start that a fit leaves as it is, in any unit of a state
+HELD = 1e250  # precision of a start that a fit leaves as it is, in any unit of a state
 ALWAYS = -2  # fold of samples that are never left out
 
 

@@ -39,7 +39,8 @@ def smoothed_correction(
     """error: weighted errors of the free run `path`; noise: their standard deviation."""
     physics, n = problem.physics, len(problem.physics.states)
     a, c = path.a[..., :n, :n], path.c[..., :n] * signals.weight[..., None]
-    size = np.maximum(path.x[..., :n].std((0, 1)), 1e-12)  # states in units of their spread
+    spread = path.x[..., :n].std((0, 1))
+    size = np.where(spread > 0.0, spread, 1.0)  # states in units of their spread
     mean, std, likelihood = _smooth(
         jnp.asarray(a * size / size[:, None]),
         jnp.asarray(c * size),
