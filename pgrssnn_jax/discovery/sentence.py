@@ -99,9 +99,10 @@ def _unexplained(found: Discovery, gap: Mapping[str, Any]) -> str:
             "estimation record: something acts there that the estimation record hardly shows, or parameters matter "
             "that it does not determine"
         )
+    other = "an effect that no curve here describes, " if found.refuted else ""
     return (
-        f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for {of}them: noise with a memory "
-        f"of {memory:.0f} samples, or an unmeasured disturbance"
+        f"Errors stand {ratio:.1f} times above the white noise and nothing accounts for {of}them: {other}noise with a "
+        f"memory of {memory:.0f} samples, or an unmeasured disturbance"
     )
 
 

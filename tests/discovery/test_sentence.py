@@ -31,6 +31,7 @@ def said(
     relative: float = 0.5,
     convention: str | None = None,
     clear: Clear = BOTH,
+    refuted: tuple[str, ...] = (),
 ) -> str:
     error = np.random.default_rng(0).standard_normal((1, 200, 1))
     selection = SimpleNamespace(
@@ -45,6 +46,7 @@ def said(
         "test": test,
         "convention": convention,
         "clear": clear,
+        "refuted": refuted,
     }
     found = Discovery._make(told.get(name) for name in Discovery._fields)
     errors = {name: {"test": value} for name, value in (("before", 3.0), ("recalibrated", 2.0), ("after", 1.0))}
@@ -68,6 +70,13 @@ def test_errors_of_the_test_record_alone_are_told():
     told = said(0.0, [], Verdict.UNEXPLAINED, clear=Clear(estimation=False, test=True))
     assert told.startswith("Errors stand 10.0 times above the white noise on the test record, and 3.0 times on the ")
     assert "nothing accounts" not in told
+
+
+def test_refuted_names_leave_errors_that_may_be_an_effect_of_another_form():
+    told = said(0.0, [], Verdict.UNEXPLAINED, refuted=("backlash", "hysteresis"))
+    assert "an effect that no curve here describes, noise with a memory of " in told
+    assert "refuted by the test record, and left out: backlash, hysteresis" in told
+    assert "an effect that" not in said(0.0, [], Verdict.UNEXPLAINED)
 
 
 def test_another_channel_of_the_same_effect_is_an_alternative():
