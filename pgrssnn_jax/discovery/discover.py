@@ -1,4 +1,4 @@
-"""The whole of a discovery: recalibrate, select, locate, judge, final numbers, validate. Nothing here writes a file.
+"""The whole of a discovery: recalibrate, select, judge, locate, final numbers, validate. Nothing here writes a file.
 
 record, physics ──> recalibrated ──> selected effects ──> judgement ──> final numbers ──> test record, once
 """
@@ -81,14 +81,7 @@ def discover_in(problem: Problem, setup: Setup, notify: Notify, corrected: Corre
     physics and catalogue."""
     chosen, seconds, corrected = setup.settings, dict[str, float](), corrected or Corrected()
     with jax.enable_x64(True):
-        named, judged = _searched(problem, setup, corrected, notify, seconds)
-        if order_may_matter(named, judged, chosen.criteria):
-            notify("looking for effects that act on the inputs in the opposite order")
-            turned = setup._replace(effects=reversed_on_inputs(setup.effects))
-            whole = corrected.with_catalogue(problem, turned.first_effects)
-            other = _searched(whole, turned, corrected, notify, seconds)
-            if preferred_model(other[0].selection.final, named.selection.final, chosen.criteria.alike):
-                named, judged = other
+        named, judged = _in_either_order(problem, setup, corrected, notify, seconds)
         notify("locating: the correction that each equation would need")
         with timed(seconds, "locate"):
             location = _located(named)
@@ -116,6 +109,21 @@ def discover_in(problem: Problem, setup: Setup, notify: Notify, corrected: Corre
         test=proved.test,
         seconds=seconds,
     )
+
+
+def _in_either_order(
+    problem: Problem, setup: Setup, corrected: Corrected, notify: Notify, seconds: dict[str, float]
+) -> tuple[Named, Judged]:
+    """Effects, and the verdict on them; those of inputs in the opposite order where that predicts better."""
+    found, criteria = _searched(problem, setup, corrected, notify, seconds), setup.settings.criteria
+    if not order_may_matter(*found, criteria):
+        return found
+    notify("looking for effects that act on the inputs in the opposite order")
+    turned = setup._replace(effects=reversed_on_inputs(setup.effects))
+    whole = corrected.with_catalogue(problem, turned.first_effects)
+    other = _searched(whole, turned, corrected, notify, seconds)
+    one, before = other[0].selection.final, found[0].selection.final
+    return other if preferred_model(one, before, criteria.alike) else found
 
 
 def _searched(
