@@ -21,7 +21,7 @@ from pgrssnn_jax.effects.base import Effect, SignalRange, after_step, on_input, 
 from pgrssnn_jax.effects.memory import with_memory
 from pgrssnn_jax.physics.base import Parameter, Physics, Signal
 
-KNOTS = 8
+KNOTS = 12  # with 8, an input's limit between two knots left errors 1.12 times the noise, where a stand-in left 1.22
 HISTORY = 6  # samples of the past
 _WIDE = 4  # more states than this: a state is corrected by itself, a rate also by what it is the rate of
 
@@ -79,10 +79,10 @@ def continued(value: jax.Array, low: jax.Array, high: jax.Array, c: Float[jax.Ar
     return hats(value, low, high, c) + below * (c[1] - c[0]) + above * (c[-1] - c[-2])
 
 
-def nearness(values: Float[np.ndarray, "*n"], low: Any, high: Any) -> Float[np.ndarray, "*n knots"]:
+def nearness(values: Float[np.ndarray, "*n"], low: Any, high: Any, knots: int = KNOTS) -> Float[np.ndarray, "*n knots"]:
     """φ_j of many values, for what is not traced."""
-    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (KNOTS - 1)
-    return np.maximum(1.0 - np.abs(place[..., None] - np.arange(KNOTS)), 0.0)
+    place = np.clip((values - low) / (high - low), 0.0, 1.0) * (knots - 1)
+    return np.maximum(1.0 - np.abs(place[..., None] - np.arange(knots)), 0.0)
 
 
 def _family(physics: Physics, name: str, where: Where) -> Effect:

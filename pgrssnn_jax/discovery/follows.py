@@ -19,6 +19,7 @@ from pgrssnn_jax.discovery.least_squares import simulate
 from pgrssnn_jax.discovery.noise import surrogates
 from pgrssnn_jax.discovery.problem import Problem, Signals
 
+_KNOTS = 8  # of a hat function's grid; with the filters 32 features for every signal
 _SAMPLES = (0, 4, 16, 64)  # time constants of the filters, 0: none
 _RIDGE = 1e-2  # per sample, of features with unit variance
 _DRAWS = 200
@@ -63,7 +64,7 @@ def follows(
 
 def _features(s: Float[np.ndarray, "seq time s"]) -> Float[np.ndarray, "seq time feature"]:
     low, high = s.min((0, 1)), s.max((0, 1))
-    hats = nearness(s, low, np.where(high > low, high, low + 1.0)).reshape(*s.shape[:2], -1)
+    hats = nearness(s, low, np.where(high > low, high, low + 1.0), _KNOTS).reshape(*s.shape[:2], -1)
     hats = hats - hats.mean((0, 1))  # filters begin at rest
     filtered = [scipy.signal.lfilter([1.0 / (1 + k)], [1.0, -k / (1 + k)], hats, axis=1) for k in _SAMPLES]
     found = np.concatenate(filtered, -1)

@@ -13,8 +13,6 @@ from pgrssnn_jax.discovery.search import Named
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.effects.base import Effect
 
-_OF_INPUTS = ("input", "history")  # corrections
-
 
 def reversed_on_inputs(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """The catalogue with the effects of inputs in the opposite order."""
@@ -23,12 +21,13 @@ def reversed_on_inputs(effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 
 def order_may_matter(named: Named, judged: Judged, criteria: Criteria) -> bool:
-    """Does a correction of an input show more than what was named, or do two effects of inputs leave errors above the
-    noise?"""
+    """Does a curve of an input show more than what was named, or a memory beside an effect of an input, or do two such
+    effects leave errors above the noise?"""
     problem, selection, unnamed = named.problem, named.selection, judged.judgement.unnamed
     if named.how.segmented:  # of an arm, whose torques nothing bends
         return False
+    acting = sum(problem.effect(name).acts_on == "input" for name in selection.final.estimate.active)
     if unnamed is not None:
-        return families(problem.physics)[unnamed[1].name].kind in _OF_INPUTS
-    acting = [name for name in selection.final.estimate.active if problem.effect(name).acts_on == "input"]
-    return len(acting) > 1 and selection.last.rms() > criteria.above * selection.floor
+        kind = families(problem.physics)[unnamed[1].name].kind
+        return kind == "input" or (kind == "history" and acting > 0)
+    return acting > 1 and selection.last.rms() > criteria.above * selection.floor

@@ -8,9 +8,10 @@ from pgrssnn_jax.discovery.judged import Judged, with_judgement, without_names
 from pgrssnn_jax.discovery.noise import above_white_noise, longest_memory
 from pgrssnn_jax.discovery.null import LEAST_GAIN
 from pgrssnn_jax.discovery.search import Named, timed
+from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.validate import Proved, train_validations, validations_on_test
-from pgrssnn_jax.discovery.verdict import Verdict, as_good_as_names, harmful_names, judge, without_correction
+from pgrssnn_jax.discovery.verdict import Verdict, as_good_as_names, judge, refuted_names, without_correction
 
 _FOUND = (Verdict.UNKNOWN_EFFECT, Verdict.UNEXPLAINED)  # something is missing, whatever its name
 
@@ -30,7 +31,7 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
     a finding of theirs alone is not confirmed."""
     numbers, proved = _proved(named, setup, seconds)
     with timed(seconds, "prove"):
-        names, correction = _harmful(judged, proved), ()
+        names, correction = _refuted_names(judged, proved, setup.settings.criteria), ()
         if not names:
             judged, correction = _without_refuted_correction(named, judged, setup)
             judged, names = _with_better_correction(named, judged, setup, proved)
@@ -43,10 +44,12 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
     return Tested(bare, alone, *_proved(bare, setup, seconds), (*names, *correction, *further))
 
 
-def _harmful(judged: Judged, proved: Proved) -> tuple[str, ...]:
-    """Names that stand for an unknown effect and do harm, where corrections in their place were looked for."""
-    found = harmful_names(judged.judgement, proved.test.improvement)
-    return found if judged.nameless.alone is not None else ()
+def _refuted_names(judged: Judged, proved: Proved, criteria: Criteria) -> tuple[str, ...]:
+    """Where corrections in the place of the names were looked for."""
+    if judged.nameless.alone is None:
+        return ()
+    least = min(one.error for one in proved.test.models.values())
+    return refuted_names(judged.judgement, proved.test.improvement, clear=least > criteria.clear * proved.floor)
 
 
 def _with_better_correction(

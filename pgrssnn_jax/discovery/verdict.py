@@ -135,7 +135,7 @@ def confirmed(
     if clear.test and judgement.verdict in (Verdict.NO_DISCREPANCY, Verdict.MISCALIBRATED, Verdict.NOT_CONFIRMED):
         return judgement._replace(verdict=Verdict.UNEXPLAINED)
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
-    harmful = harmful_names(judgement, improvement)
+    harmful = refuted_names(judgement, improvement)
     if harmful or (found and (improvement[0] <= 0.0 or relative_error >= 1.0)):
         return judgement._replace(verdict=Verdict.NOT_CONFIRMED)
     if found and any(clear) and closed < EXPLAINED:
@@ -143,10 +143,12 @@ def confirmed(
     return judgement
 
 
-def harmful_names(judgement: Judgement, improvement: tuple[float, float]) -> tuple[str, ...]:
-    """Named effects that stand for an unknown one, where they make the test record worse."""
-    unknown = judgement.verdict is Verdict.UNKNOWN_EFFECT
-    return tuple(judgement.alternatives) if unknown and improvement[1] < 0.0 else ()
+def refuted_names(judgement: Judgement, improvement: tuple[float, float], *, clear: bool = False) -> tuple[str, ...]:
+    """Named effects that stand for an unknown one, where they make the test record worse; others where they do not
+    make it better and errors there are clear of the noise: they are no finding, and something else is missing."""
+    harmful = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0
+    found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
+    return tuple(judgement.alternatives) if harmful or (found and clear and improvement[0] <= 0.0) else ()
 
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:

@@ -18,8 +18,8 @@ from pgrssnn_jax.discovery.verdict import (
     Judgement,
     Verdict,
     as_good_as_names,
-    harmful_names,
     judge,
+    refuted_names,
     with_channels,
 )
 from pgrssnn_jax.effects.systems import catalogue
@@ -227,13 +227,17 @@ def test_nothing_is_as_good_as_no_name(problem):
 def test_names_that_stand_for_an_unknown_effect_may_do_harm(problem, instead, improvement, expected):
     found = judged(problem, 400.0, 9.0, instead=instead, beside=None if instead else 4.0)
     assert found.verdict is Verdict.UNKNOWN_EFFECT
-    assert harmful_names(found, improvement) == expected
+    assert refuted_names(found, improvement) == expected
 
 
-def test_names_that_stand_for_themselves_are_not_harmful(problem):
+@pytest.mark.parametrize(
+    ("improvement", "clear", "expected"),
+    [((-0.3, 0.1), True, (NAME,)), ((-0.3, 0.1), False, ()), ((-0.3, -0.1), False, ()), ((0.1, 0.3), True, ())],
+)
+def test_names_that_do_not_help_are_refuted_where_errors_are_clear_of_the_noise(problem, improvement, clear, expected):
     found = judged(problem, 400.0, 9.0)
     assert found.verdict is Verdict.EFFECT_FOUND
-    assert harmful_names(found, (-0.3, -0.1)) == ()
+    assert refuted_names(found, improvement, clear=clear) == expected
 
 
 def test_a_spectral_line_is_unknown(problem):
