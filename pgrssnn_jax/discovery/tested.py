@@ -31,10 +31,12 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
     a finding of theirs alone is not confirmed."""
     numbers, proved = _proved(named, setup, seconds)
     with timed(seconds, "prove"):
-        names, correction = _refuted_names(judged, proved, setup.settings.criteria), ()
+        criteria, correction = setup.settings.criteria, ()
+        names = _refuted_names(judged, proved, criteria)
         if not names:
             judged, correction = _without_refuted_correction(named, judged, setup)
             judged, names = _with_better_correction(named, judged, setup, proved)
+            names = names or _refuted_names(judged, proved, criteria)
         if not names:
             return Tested(named, judged, numbers, proved, correction)
         bare, alone = without_names(named, judged, setup.settings)
@@ -48,8 +50,8 @@ def _refuted_names(judged: Judged, proved: Proved, criteria: Criteria) -> tuple[
     """Where corrections in the place of the names were looked for."""
     if judged.nameless.alone is None:
         return ()
-    least = min(one.error for one in proved.test.models.values())
-    return refuted_names(judged.judgement, proved.test.improvement, clear=least > criteria.clear * proved.floor)
+    test, least = proved.test, min(one.error for one in proved.test.models.values())
+    return refuted_names(judged.judgement, test.improvement, test.relative, clear=least > criteria.clear * proved.floor)
 
 
 def _with_better_correction(

@@ -143,12 +143,15 @@ def confirmed(
     return judgement
 
 
-def refuted_names(judgement: Judgement, improvement: tuple[float, float], *, clear: bool = False) -> tuple[str, ...]:
-    """Named effects that stand for an unknown one, where they make the test record worse; others where they do not
-    make it better and errors there are clear of the noise: they are no finding, and something else is missing."""
+def refuted_names(
+    judgement: Judgement, improvement: tuple[float, float], relative_error: float = 0.0, *, clear: bool = False
+) -> tuple[str, ...]:
+    """Named effects that stand for an unknown one, where they make the test record worse; others that are no finding
+    there (`confirmed`), where errors are clear of the noise: something else is missing."""
     harmful = judgement.verdict is Verdict.UNKNOWN_EFFECT and improvement[1] < 0.0
     found = judgement.verdict in (Verdict.EFFECT_FOUND, Verdict.AMBIGUOUS)
-    return tuple(judgement.alternatives) if harmful or (found and clear and improvement[0] <= 0.0) else ()
+    helps = improvement[0] > 0.0 and relative_error < 1.0
+    return tuple(judgement.alternatives) if harmful or (found and clear and not helps) else ()
 
 
 def _unnamed(selection: Selection, nameless: Nameless, criteria: Criteria) -> tuple[Screening, Candidate] | None:

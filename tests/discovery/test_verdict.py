@@ -231,13 +231,16 @@ def test_names_that_stand_for_an_unknown_effect_may_do_harm(problem, instead, im
 
 
 @pytest.mark.parametrize(
-    ("improvement", "clear", "expected"),
-    [((-0.3, 0.1), True, (NAME,)), ((-0.3, 0.1), False, ()), ((-0.3, -0.1), False, ()), ((0.1, 0.3), True, ())],
+    ("improvement", "relative", "expected"),
+    [((-0.3, 0.1), 0.5, (NAME,)), ((0.1, 0.3), 1.1, (NAME,)), ((0.1, 0.3), 0.5, ())],
 )
-def test_names_that_do_not_help_are_refuted_where_errors_are_clear_of_the_noise(problem, improvement, clear, expected):
+def test_names_that_do_not_help_are_refuted_where_errors_are_clear_of_the_noise(
+    problem, improvement, relative, expected
+):
     found = judged(problem, 400.0, 9.0)
     assert found.verdict is Verdict.EFFECT_FOUND
-    assert refuted_names(found, improvement, clear=clear) == expected
+    assert refuted_names(found, improvement, relative, clear=True) == expected
+    assert refuted_names(found, improvement, relative) == ()
 
 
 def test_a_spectral_line_is_unknown(problem):
