@@ -43,7 +43,8 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
         alone, further = _without_refuted_correction(bare, alone, setup)
     if alone.judgement.verdict not in _FOUND:
         return Tested(named, judged, numbers, proved, ())
-    return Tested(bare, alone, *_proved(bare, setup, seconds), (*names, *correction, *further))
+    refuted = tuple(dict.fromkeys((*names, *correction, *further)))  # a correction may be refuted twice
+    return Tested(bare, alone, *_proved(bare, setup, seconds), refuted)
 
 
 def _refuted_names(judged: Judged, proved: Proved, criteria: Criteria) -> tuple[str, ...]:
