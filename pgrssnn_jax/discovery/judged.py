@@ -51,16 +51,15 @@ def without_names(named: Named, judged: Judged, chosen: DiscoverySettings) -> tu
     given anew."""
     alone, selection = judged.nameless.alone, named.selection
     assert alone is not None
-    bare = named._replace(
-        selection=selection._replace(final=selection.recalibrated, screenings={}, last=selection.first)
-    )
-    rng, estimate = np.random.default_rng(chosen.seed), selection.recalibrated.estimate
-    follows = errors_follow(judged.corrections.problem, named.how.uncut, estimate, rng)
+    selection = selection._replace(final=selection.recalibrated, screenings={}, last=selection.first)
+    bare, estimate = named._replace(selection=selection), selection.recalibrated.estimate
+    clear, rng = selection.last.rms() > chosen.criteria.clear * selection.floor, np.random.default_rng(chosen.seed)
+    follows = errors_follow(named.problem, named.how.uncut, estimate, rng) if clear else None
     judged = judged._replace(nameless=Nameless(alone, None, None, follows), convention=None)
     unnamed = judged.judgement.unnamed
     if unnamed is not None and unnamed[0] is alone:
         return bare, judged._replace(judgement=judged.judgement._replace(alternatives={}))
-    judgement = judge(named.problem, bare.selection, judged.nameless, judged.rms, chosen.criteria)
+    judgement = judge(named.problem, selection, judged.nameless, judged.rms, chosen.criteria)
     return bare, with_judgement(bare, judged, judgement)
 
 

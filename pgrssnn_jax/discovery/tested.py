@@ -42,7 +42,7 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
         bare, alone = without_names(named, judged, setup.settings)
         alone, further = _without_refuted_correction(bare, alone, setup)
     if alone.judgement.verdict not in _FOUND:
-        return Tested(named, judged, numbers, proved, ())
+        return Tested(named, judged, numbers, proved, correction)
     refuted = tuple(dict.fromkeys((*names, *correction, *further)))  # a correction may be refuted twice
     return Tested(bare, alone, *_proved(bare, setup, seconds), refuted)
 
