@@ -59,11 +59,12 @@ def _with_better_correction(
     named: Named, judged: Judged, setup: Setup, proved: Proved
 ) -> tuple[Judged, tuple[str, ...]]:
     """Named effects that predict the estimation record no better than a correction in their place, and the test record
-    worse, stand for an unknown effect. The judgement that says so, and their names. Where errors have a memory, one
-    record holds too few independent ones to compare."""
+    worse, stand for an unknown effect. The judgement that says so, and their names. Where errors have a memory and do
+    not follow the signals, one record holds too few independent ones to compare."""
     selection, criteria = named.selection, setup.settings.criteria
     rival, final = as_good_as_names(judged.judgement, selection, judged.nameless, criteria), selection.final.estimate
-    if rival is None or above_white_noise(final.error, named.how.signals(named.problem).weight, criteria.clear):
+    weight, maybe_noise = named.how.signals(named.problem).weight, judged.judgement.verdict is Verdict.EFFECT_FOUND
+    if rival is None or (maybe_noise and above_white_noise(final.error, weight, criteria.clear)):
         return judged, ()
     low, _ = improvement_by_correction(judged.corrections, rival[1], named.nominal, final.guess, setup)
     if low <= criteria.exact * max(proved.test.recalibrated.error - proved.floor, 0.0):

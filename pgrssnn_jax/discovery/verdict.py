@@ -179,10 +179,11 @@ def as_good_as_names(
     judgement: Judgement, selection: Selection, nameless: Nameless, criteria: Criteria
 ) -> tuple[Screening, Candidate] | None:
     """The best correction in the place of named effects, where the estimation record cannot tell the two apart: by its
-    left-out blocks the effects are no better within two standard errors, and nothing else was found. Where other names
-    predict as well, one of them may be what the test record asks for."""
+    left-out blocks the effects are no better within two standard errors, and nothing else was found, or only that the
+    errors follow the signals. Where other names predict as well, one of them may be what the test record asks for."""
     final, screening = selection.final, nameless.alone
-    if judgement.verdict is not Verdict.EFFECT_FOUND or screening is None:
+    only_follow = judgement.verdict is Verdict.UNKNOWN_EFFECT and judgement.unnamed is None and nameless.line is None
+    if screening is None or not (judgement.verdict is Verdict.EFFECT_FOUND or only_follow):
         return None
     for best in screening.candidates:  # by their scores
         if best.model is not None and screening.p_value(best) <= criteria.further:

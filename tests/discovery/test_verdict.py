@@ -218,6 +218,13 @@ def test_where_other_names_predict_as_well_no_correction_takes_their_place(probl
     assert as_good_as_names(*found, Criteria()) is None
 
 
+@pytest.mark.parametrize("line", [None, Line(60.0, 0.1, 0.5, 0)])
+def test_so_may_it_where_the_errors_of_the_names_follow_the_signals(problem, line):
+    found = examined(problem, 400.0, 49.0, instead=49.0, follows=Follows(0.6, 0.005), line=line)
+    assert found.judgement.verdict is Verdict.UNKNOWN_EFFECT
+    assert (as_good_as_names(*found, Criteria()) is not None) is (line is None)
+
+
 def test_nothing_is_as_good_as_no_name(problem):
     assert as_good_as_names(*examined(problem, 1.0), Criteria()) is None
 
