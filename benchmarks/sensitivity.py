@@ -27,7 +27,7 @@ from hidden.suite import KINDS, Plan
 from rich.console import Console
 from rich.table import Table
 
-from pgrssnn_jax.discovery import discover, judged, nameless, scoring, search, tested
+from pgrssnn_jax.discovery import discover, nameless, scoring, search, tested
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.discover import discover_in
 from pgrssnn_jax.discovery.problem import Problem, build_problem
@@ -43,7 +43,6 @@ _ONCE = (  # functions, in the modules that call them
     (search, search.nominal_guess),
     (search, search.recalibrated_guess),
     (discover, discover.smoothed_correction),
-    (judged, judged.errors_follow),
     (tested, tested.final_numbers),
     (tested, tested.validations_on_test),
     (tested, tested.improvement_by_correction),

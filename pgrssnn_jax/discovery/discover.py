@@ -88,8 +88,7 @@ def discover_in(problem: Problem, setup: Setup, notify: Notify, corrected: Corre
         notify("proving: intervals, and the test record")
         named, judged, numbers, proved, refuted = tested(named, judged, setup, seconds)
     told = with_channels(judged.judgement, named.selection, numbers.elsewhere)
-    test, least = proved.test, min(one.error for one in proved.test.models.values())
-    clear = clear_of_noise(named.selection, least, proved.floor, chosen.criteria)
+    clear, test = clear_of_noise(named.selection, proved.least_error, proved.floor, chosen.criteria), proved.test
     return Discovery(
         problem=numbers.problem,
         signals=named.how.uncut,

@@ -6,9 +6,8 @@ import numpy as np
 
 from pgrssnn_jax.discovery.corrected import Corrected
 from pgrssnn_jax.discovery.estimate import evaluate
-from pgrssnn_jax.discovery.follows import errors_follow
 from pgrssnn_jax.discovery.least_squares import simulate
-from pgrssnn_jax.discovery.nameless import Nameless, look_beyond
+from pgrssnn_jax.discovery.nameless import Nameless, line_and_dependence, look_beyond
 from pgrssnn_jax.discovery.nonparametric import Corrections
 from pgrssnn_jax.discovery.search import Named
 from pgrssnn_jax.discovery.settings import DiscoverySettings
@@ -52,10 +51,9 @@ def without_names(named: Named, judged: Judged, chosen: DiscoverySettings) -> tu
     alone, selection = judged.nameless.alone, named.selection
     assert alone is not None
     selection = selection._replace(final=selection.recalibrated, screenings={}, last=selection.first)
-    bare, estimate = named._replace(selection=selection), selection.recalibrated.estimate
-    clear, rng = selection.last.rms() > chosen.criteria.clear * selection.floor, np.random.default_rng(chosen.seed)
-    follows = errors_follow(named.problem, named.how.uncut, estimate, rng) if clear else None
-    judged = judged._replace(nameless=Nameless(alone, None, None, follows), convention=None)
+    bare, rng = named._replace(selection=selection), np.random.default_rng(chosen.seed)
+    left = line_and_dependence(named.problem, named.how, selection, chosen.criteria, rng)
+    judged = judged._replace(nameless=Nameless(alone, None, *left), convention=None)
     unnamed = judged.judgement.unnamed
     if unnamed is not None and unnamed[0] is alone:
         return bare, judged._replace(judgement=judged.judgement._replace(alternatives={}))

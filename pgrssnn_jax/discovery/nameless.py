@@ -14,7 +14,7 @@ from pgrssnn_jax.discovery.estimate import Guess
 from pgrssnn_jax.discovery.follows import Follows, errors_follow
 from pgrssnn_jax.discovery.line import line_beside_noise
 from pgrssnn_jax.discovery.nonparametric import CURVED, Corrections, score_corrections
-from pgrssnn_jax.discovery.problem import carried
+from pgrssnn_jax.discovery.problem import Problem, carried
 from pgrssnn_jax.discovery.scoring import Scoring
 from pgrssnn_jax.discovery.select import Selection
 from pgrssnn_jax.discovery.settings import Criteria
@@ -46,10 +46,17 @@ def look_beyond(
     if active:  # in the place of the named effects it must do better than they
         least = selection.first.rms() - selection.last.rms() + least_fall(selection, criteria, criteria.share)
         alone = score_corrections(corrections, selection.recalibrated, criteria, least, rng)
-    problem, signals = corrections.problem, how.uncut
+    return Nameless(beside, alone, *line_and_dependence(corrections.problem, how, selection, criteria, rng))
+
+
+def line_and_dependence(
+    problem: Problem, how: Scoring, selection: Selection, criteria: Criteria, rng: np.random.Generator
+) -> tuple[Line | None, Follows | None]:
+    """A line in the spectrum of the errors of the final model, and how far they follow the signals."""
+    estimate, signals = selection.final.estimate, how.uncut
     clear = selection.last.rms() > criteria.clear * selection.floor
-    line = line_beside_noise(problem, signals, final.estimate, how.settings, criteria, clear=clear)
-    return Nameless(beside, alone, line, errors_follow(problem, signals, final.estimate, rng) if clear else None)
+    line = line_beside_noise(problem, signals, estimate, how.settings, criteria, clear=clear)
+    return line, errors_follow(problem, signals, estimate, rng) if clear else None
 
 
 def least_fall(selection: Selection, criteria: Criteria, share: float) -> float:

@@ -48,9 +48,9 @@ class Null(NamedTuple):
     known: Mapping[str, Known] = MappingProxyType({})
 
     def p_value(self, name: str, gain: float) -> float:
-        """Probability that by luck alone any effect of the catalogue gains as unlikely an amount. An effect that had no
-        starting values in this screening has no distribution of its own (a periodic effect without a spectral line),
-        and gets that of the effect with the largest mean gain."""
+        """Probability that noise alone gives some effect of the catalogue a gain at least as improbable. A periodic
+        effect has no gamma distribution where no spectral line gave its fit a starting value: the distribution with the
+        largest mean gain is used for it."""
         if not self.shape:
             return 1.0
         like = name if name in self.shape else max(self.shape, key=lambda one: self.shape[one] * self.scale[one])

@@ -2,7 +2,8 @@
 
     u ← min(f * u, high)        a lag, then a limit             u ← f * min(u, high)        the other way round
 
-The catalogue has one order. Another one matters for an offset and a dead zone, and for a lag and whatever bends.
+f: impulse response of the lag, *: convolution. The catalogue has one order. Another one matters for an offset and a
+dead zone, and for a lag and any effect that bends.
 """
 
 from collections.abc import Sequence

@@ -11,7 +11,14 @@ from pgrssnn_jax.discovery.search import Named, timed
 from pgrssnn_jax.discovery.settings import Criteria
 from pgrssnn_jax.discovery.setup import Setup
 from pgrssnn_jax.discovery.validate import Proved, train_validations, validations_on_test
-from pgrssnn_jax.discovery.verdict import Verdict, as_good_as_names, judge, refuted_names, without_correction
+from pgrssnn_jax.discovery.verdict import (
+    Verdict,
+    as_good_as_names,
+    clear_of_noise,
+    judge,
+    refuted_names,
+    without_correction,
+)
 
 _FOUND = (Verdict.UNKNOWN_EFFECT, Verdict.UNEXPLAINED)  # something is missing, whatever its name
 
@@ -32,11 +39,11 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
     numbers, proved = _proved(named, setup, seconds)
     with timed(seconds, "prove"):
         criteria, correction = setup.settings.criteria, ()
-        names = _refuted_names(judged, proved, criteria)
+        names = _refuted_names(named, judged, proved, criteria)
         if not names:
             judged, correction = _without_refuted_correction(named, judged, setup)
             judged, names = _with_better_correction(named, judged, setup, proved)
-            names = names or _refuted_names(judged, proved, criteria)
+            names = names or _refuted_names(named, judged, proved, criteria)
         if not names:
             return Tested(named, judged, numbers, proved, correction)
         bare, alone = without_names(named, judged, setup.settings)
@@ -47,12 +54,12 @@ def tested(named: Named, judged: Judged, setup: Setup, seconds: dict[str, float]
     return Tested(bare, alone, *_proved(bare, setup, seconds), refuted)
 
 
-def _refuted_names(judged: Judged, proved: Proved, criteria: Criteria) -> tuple[str, ...]:
+def _refuted_names(named: Named, judged: Judged, proved: Proved, criteria: Criteria) -> tuple[str, ...]:
     """Where corrections in the place of the names were looked for."""
     if judged.nameless.alone is None:
         return ()
-    test, least = proved.test, min(one.error for one in proved.test.models.values())
-    return refuted_names(judged.judgement, test.improvement, test.relative, clear=least > criteria.clear * proved.floor)
+    test, clear = proved.test, clear_of_noise(named.selection, proved.least_error, proved.floor, criteria).test
+    return refuted_names(judged.judgement, test.improvement, test.relative, clear=clear)
 
 
 def _with_better_correction(

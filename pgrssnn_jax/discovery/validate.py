@@ -82,6 +82,11 @@ class Proved(NamedTuple):
     test: Validations
 
     @property
+    def least_error(self) -> float:
+        """On the test record, of the model that predicts it best."""
+        return min(one.error for one in self.test.models.values())
+
+    @property
     def floor(self) -> float:
         """The white noise that the final model leaves in the estimation record, in the metric of the test record."""
         return white_noise(self.estimation, self.train.after.y, self.test.scale)

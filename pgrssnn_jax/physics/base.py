@@ -196,13 +196,11 @@ def discrete(
 ) -> Physics:
     """A `Physics` from a difference equation, x_t = step(params, x_{t-1}, u_t) and y_t = measure(params, x_t, u_t).
 
-    dt: s; parameters: what the numbers of params mean, in the same tree; output_timing: `before_step` reads x_{t-1};
-    skeleton: lines of a drawing of a state; remark: told when a discovery begins; differentiable: False for a step
-    without derivatives; reads: the old spelling of `output_timing`.
+    dt: s; parameters: meanings of params, in the same tree; output_timing: `before_step` reads x_{t-1}; skeleton: draws
+    a state; remark: told when a discovery begins; differentiable: has step derivatives? reads: old `output_timing`.
 
-    Raises `ValueError` when `parameters` does not have the shape of `params`, when a state resembles an
-    output (or is the rate of an output or state) that does not exist, for names that are there twice, for what is no
-    number, no function or no `Signal`, or when `dt` is not positive.
+    Raises `ValueError` for parameters in another tree, a relation to a signal that does not exist, a name given twice,
+    what is no number, function or `Signal`, and a dt that is not positive.
     """
     if reads is not None:
         warnings.warn("physics: 'reads' is now called 'output_timing'", FutureWarning, stacklevel=2)
